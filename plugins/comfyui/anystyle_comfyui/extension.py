@@ -3,7 +3,7 @@
 import importlib
 from typing import Any
 
-from . import nodes
+from .nodes import Node
 
 api: Any = importlib.import_module("comfy_api.latest")
 
@@ -13,19 +13,6 @@ class AnyStyleExtension(api.ComfyExtension):
 
     async def get_node_list(self) -> list[type]:
         """The nodes, in the order of work."""
-        found: list[type] = [
-            nodes.LoadModel,
-            nodes.LoadCapture,
-            nodes.FitScene,
-            nodes.TextStyle,
-            nodes.ImageStyle,
-            nodes.MixStyles,
-            nodes.Stylize,
-            nodes.Render,
-            nodes.SaveScene,
-        ]
         if "Splat" in dir(api.io):
-            from .splat_nodes import CaptureFromSplat, SceneToSplat
-
-            found += [SceneToSplat, CaptureFromSplat]
-        return found
+            importlib.import_module(".splat_nodes", __package__)
+        return Node.__subclasses__()

@@ -26,7 +26,6 @@ io: Any = importlib.import_module("comfy_api.latest").io
 ui: Any = importlib.import_module("comfy_api.latest").ui
 folder_paths: Any = importlib.import_module("folder_paths")
 
-CATEGORY = "anystyle"
 MODEL, CAPTURE = io.Custom("ANYSTYLE_MODEL"), io.Custom("ANYSTYLE_CAPTURE")
 SCENE, STYLE = io.Custom("ANYSTYLE_SCENE"), io.Custom("ANYSTYLE_STYLE")
 
@@ -34,7 +33,6 @@ SCENE, STYLE = io.Custom("ANYSTYLE_SCENE"), io.Custom("ANYSTYLE_STYLE")
 class Node(io.ComfyNode):
     """A node; its docstring is what ComfyUI shows of it."""
 
-    node_id: ClassVar[str]
     title: ClassVar[str]
     inputs: ClassVar[list[Any]]
     outputs: ClassVar[list[Any]]
@@ -44,14 +42,18 @@ class Node(io.ComfyNode):
     def define_schema(cls) -> Any:
         """The node as ComfyUI lists it."""
         return io.Schema(
-            node_id=cls.node_id,
+            node_id=f"AnyStyle{cls.__name__}",
             display_name=cls.title,
-            category=CATEGORY,
+            category="anystyle",
             description=" ".join((inspect.getdoc(cls) or "").split()),
             inputs=cls.inputs,
             outputs=cls.outputs,
             is_output_node=cls.is_output,
         )
+
+
+def _slider(name: str, default: float, low: float, high: float, step: float, tooltip: str) -> Any:
+    return io.Float.Input(name, default=default, min=low, max=high, step=step, tooltip=tooltip)
 
 
 def _located(source: str) -> str | Path:
@@ -60,19 +62,18 @@ def _located(source: str) -> str | Path:
     return source if source.startswith("example:") else Path(folder_paths.get_input_directory(), source).expanduser()
 
 
+_OPTIONS = "Overrides of `anystyle stylize`, such as: reconstruction.quality=draft views.take=24 method=brush"
+_SOURCE = "A folder, a pattern, a video or a splat, in ComfyUI's input folder or with its whole path"
+_BATCH = "A batch to use instead; files in a folder are better: their EXIF data describe the lens"
+
+
 class LoadModel(Node):
     """The networks that reconstruct photographs and stylize the scene."""
 
-    node_id = "AnyStyleLoadModel"
     title = "Load AnyStyle Model"
     inputs: ClassVar = [
         io.Combo.Input("model", options=list(presets("model")), default="default"),
-        io.String.Input(
-            "options",
-            default="",
-            tooltip="Further words of `anystyle stylize`, such as: reconstruction=fit "
-            "reconstruction.quality=draft views.take=24 method=brush",
-        ),
+        io.String.Input("options", default="", tooltip=_OPTIONS),
     ]
     outputs: ClassVar = [MODEL.Output(display_name="model")]
 
@@ -87,19 +88,10 @@ class LoadModel(Node):
 class LoadCapture(Node):
     """Overlapping photographs of one place, a video, or a file of a Gaussian scene."""
 
-    node_id = "AnyStyleLoadCapture"
     title = "Load Photographs"
     inputs: ClassVar = [
-        io.String.Input(
-            "source",
-            default="example:street",
-            tooltip="A folder, a pattern, a video or a splat, in ComfyUI's input folder or with its whole path",
-        ),
-        io.Image.Input(
-            "images",
-            optional=True,
-            tooltip="A batch to use instead; files in a folder are better: their EXIF data describe the lens",
-        ),
+        io.String.Input("source", default="example:street", tooltip=_SOURCE),
+        io.Image.Input("images", optional=True, tooltip=_BATCH),
     ]
     outputs: ClassVar = [CAPTURE.Output(display_name="capture")]
 
@@ -122,7 +114,6 @@ class LoadCapture(Node):
 class FitScene(Node):
     """Finds the cameras of photographs and fits Gaussians to them, once for any number of styles."""
 
-    node_id = "AnyStyleFitScene"
     title = "Fit Scene"
     inputs: ClassVar = [MODEL.Input("model"), CAPTURE.Input("capture")]
     outputs: ClassVar = [SCENE.Output(display_name="scene")]
@@ -133,14 +124,12 @@ class FitScene(Node):
         request, loaded = replace(model.request, inputs=(str(capture),)), model.loaded
         with running() as report:
             encoded = encode_inputs(request, loaded, report.stages)
-            unstyled = Restyler(encoded, loaded.method).unstyled
-            return io.NodeOutput(Scene(encoded, unstyled, "unstyled", loaded.method, loaded.weights))
+            return io.NodeOutput(Scene(encoded, Restyler(encoded, loaded.method).unstyled, "unstyled", loaded))
 
 
 class TextStyle(Node):
     """A style in words."""
 
-    node_id = "AnyStyleTextStyle"
     title = "Style from Text"
     inputs: ClassVar = [io.String.Input("text", default="thick oil paint in orange and navy", multiline=True)]
     outputs: ClassVar = [STYLE.Output(display_name="style")]
@@ -154,7 +143,6 @@ class TextStyle(Node):
 class ImageStyle(Node):
     """A style as a picture; of a batch the first."""
 
-    node_id = "AnyStyleImageStyle"
     title = "Style from Image"
     inputs: ClassVar = [
         io.Image.Input("image"),
@@ -172,14 +160,11 @@ class ImageStyle(Node):
 class MixStyles(Node):
     """A point between two styles, of texts or pictures."""
 
-    node_id = "AnyStyleMixStyles"
     title = "Mix Styles"
     inputs: ClassVar = [
         STYLE.Input("first"),
         STYLE.Input("second"),
-        io.Float.Input(
-            "amount", default=0.5, min=0.0, max=1.0, step=0.05, tooltip="0 is the first style, 1 the second"
-        ),
+        _slider("amount", 0.5, 0.0, 1.0, 0.05, "0 is the first style, 1 the second"),
     ]
     outputs: ClassVar = [STYLE.Output(display_name="style")]
 
@@ -192,21 +177,13 @@ class MixStyles(Node):
 class Stylize(Node):
     """Gives a scene a style. It starts from the photographs' colours, whatever style the scene had."""
 
-    node_id = "AnyStyleStylize"
     title = "Stylize Scene"
     inputs: ClassVar = [
         SCENE.Input("scene"),
         STYLE.Input("style"),
-        io.Float.Input("strength", default=1.0, min=0.0, max=1.0, step=0.05, tooltip="0 is the unstyled scene"),
-        io.Float.Input(
-            "preserve_color",
-            default=0.0,
-            min=0.0,
-            max=1.0,
-            step=0.05,
-            tooltip="How much of the scene's own hues stays",
-        ),
-        io.Float.Input("scale", default=1.0, min=0.125, max=8.0, step=0.125, tooltip="Size of strokes"),
+        _slider("strength", 1.0, 0.0, 1.0, 0.05, "0 is the unstyled scene"),
+        _slider("preserve_color", 0.0, 0.0, 1.0, 0.05, "How much of the scene's own hues stays"),
+        _slider("scale", 1.0, 0.125, 8.0, 0.125, "Size of strokes"),
     ]
     outputs: ClassVar = [SCENE.Output(display_name="scene")]
 
@@ -216,20 +193,19 @@ class Stylize(Node):
         controls = Controls(strength=strength, preserve_color=preserve_color, scale=scale)
         with running() as report:
             embedded = embed_styles([style], scene.encoded.stylizer, [controls])[0]
-            gaussians = Restyler(scene.encoded, scene.method)(embedded, report)
-            return io.NodeOutput(Scene(scene.encoded, gaussians, embedded.title, scene.method, scene.weights))
+            gaussians = Restyler(scene.encoded, scene.loaded.method)(embedded, report)
+            return io.NodeOutput(Scene(scene.encoded, gaussians, embedded.title, scene.loaded))
 
 
 class Render(Node):
     """Pictures of a scene from the photographs' cameras, or of a flight through them."""
 
-    node_id = "AnyStyleRender"
     title = "Render Scene"
     inputs: ClassVar = [
         SCENE.Input("scene"),
         io.Combo.Input("cameras", options=["photographs", "flight"], default="photographs"),
-        io.Int.Input("frames", default=48, min=2, max=10_000, tooltip="Of a flight"),
-        io.Float.Input("scale", default=1.0, min=0.1, max=8.0, step=0.1, tooltip="Relative to the views"),
+        io.Int.Input("frames", default=48, min=2, max=10_000, tooltip="Frames of the flight"),
+        _slider("scale", 1.0, 0.1, 8.0, 0.1, "Relative to the views"),
     ]
     outputs: ClassVar = [io.Image.Output(display_name="images")]
 
@@ -250,7 +226,6 @@ class Render(Node):
 class SaveScene(Node):
     """Writes a scene into ComfyUI's output folder."""
 
-    node_id = "AnyStyleSaveScene"
     title = "Save Scene"
     inputs: ClassVar = [
         SCENE.Input("scene"),
@@ -263,9 +238,8 @@ class SaveScene(Node):
     @classmethod
     def execute(cls, scene: Scene, filename_prefix: str, format: str) -> Any:
         """Write the file."""
-        folder, name, counter, *_ = folder_paths.get_save_image_path(
-            filename_prefix, folder_paths.get_output_directory()
-        )
+        output = folder_paths.get_output_directory()
+        folder, name, counter, *_ = folder_paths.get_save_image_path(filename_prefix, output)
         path = Path(folder, f"{name}_{counter:05}_.{format}")
         with running():
             export_styles(scene.styled(), path, format)

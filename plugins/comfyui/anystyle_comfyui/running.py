@@ -14,7 +14,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.types import Progress
 
 STEPS = 1000
-"""Of a progress bar."""
+"""Steps of a progress bar."""
 PREVIEW = 512
 """Pixels of the longer side of a preview in a node."""
 
@@ -27,28 +27,22 @@ class Reporter:
     def __init__(self) -> None:
         self._bar = importlib.import_module("comfy.utils").ProgressBar(STEPS)
         self._management = importlib.import_module("comfy.model_management")
+        self.stages = Stages(self._stage)
 
     def __call__(self, progress: Progress) -> None:
         """Report progress."""
         self.check()
         if progress.done is not None:
-            thumbnail = progress.thumbnail
-            preview = None if thumbnail is None else ("JPEG", to_pil(thumbnail), PREVIEW)
+            preview = None if progress.thumbnail is None else ("JPEG", to_pil(progress.thumbnail), PREVIEW)
             self._bar.update_absolute(round(progress.done * STEPS), STEPS, preview)
 
     def check(self, *_: object) -> None:
         """End the work if somebody cancelled it."""
         self._management.throw_exception_if_processing_interrupted()
 
-    def stage(self, stage: str, progress: Progress) -> None:
-        """Report progress of a stage of the pipeline."""
+    def _stage(self, stage: str, progress: Progress) -> None:
         _log.info("%s %s", stage, progress.line)
         self(progress)
-
-    @property
-    def stages(self) -> Stages:
-        """Stages that report here."""
-        return Stages(self.stage)
 
 
 @contextmanager

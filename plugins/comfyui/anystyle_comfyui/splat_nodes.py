@@ -15,7 +15,6 @@ types: Any = importlib.import_module("comfy_api.latest").Types
 class SceneToSplat(Node):
     """A scene for ComfyUI's own splat nodes."""
 
-    node_id = "AnyStyleSceneToSplat"
     title = "Scene to Splat"
     inputs: ClassVar = [SCENE.Input("scene")]
     outputs: ClassVar = [io.Splat.Output(display_name="splat")]
@@ -29,19 +28,16 @@ class SceneToSplat(Node):
 class CaptureFromSplat(Node):
     """A splat of ComfyUI's own nodes, for Fit Scene: it keeps its geometry, and is seen from cameras around it."""
 
-    node_id = "AnyStyleCaptureFromSplat"
     title = "Capture from Splat"
-    inputs: ClassVar = [
-        io.Splat.Input("splat"),
-        io.Int.Input("index", default=0, min=0, max=4096, tooltip="Of a batch"),
-    ]
+    index = io.Int.Input("index", default=0, min=0, max=4096, tooltip="Place in a batch")
+    inputs: ClassVar = [io.Splat.Input("splat"), index]
     outputs: ClassVar = [CAPTURE.Output(display_name="capture")]
 
     @classmethod
     def execute(cls, splat: Any, index: int) -> Any:
         """Write it as a PLY file in ComfyUI's temporary folder."""
-        if index >= splat.positions.shape[0]:
-            raise ValueError(f"index={index}, and the batch has {splat.positions.shape[0]} splats; give a smaller one")
+        if index >= len(splat.positions):
+            raise ValueError(f"index={index}, and the batch has {len(splat.positions)} splats; give a smaller one")
         temporary = Path(folder_paths.get_temp_directory())
         temporary.mkdir(parents=True, exist_ok=True)
         with running():

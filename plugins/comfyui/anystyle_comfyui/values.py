@@ -1,17 +1,14 @@
 """What travels between nodes, and its conversion from and to ComfyUI's tensors; nothing here needs ComfyUI."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Method
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.load import LoadedModel
@@ -20,38 +17,27 @@ from anystyle.types import Gaussians, StyledScene
 from anystyle.vision.weights import license_lines, licenses
 
 
-@dataclass(frozen=True)
-class Model:
+class Model(NamedTuple):
     """A loaded model, and the request that it was loaded for, without inputs and styles."""
 
     request: Request
     loaded: LoadedModel
 
 
-@dataclass(frozen=True)
-class Scene:
-    """A scene in one style.
+class Scene(NamedTuple):
+    """A scene in one style."""
 
-    Args:
-        encoded: The capture, which every further style starts from.
-        gaussians: As they are in the style.
-        title: Of the style.
-        method: How a scene takes a style.
-        weights: What the model was loaded from.
-    """
-
-    encoded: EncodedCapture
-    gaussians: Gaussians
-    title: str
-    method: Method
-    weights: Mapping[str, Any]
+    encoded: EncodedCapture  # what every other style starts from
+    gaussians: Gaussians  # in the style
+    title: str  # of the style
+    loaded: LoadedModel  # stylizes it
 
     def styled(self) -> StyledScene:
         """The scene as files hold it."""
-        notes = (self.title, *self.encoded.notes, *license_lines(licenses(self.weights)))
-        names = tuple(self.encoded.names)
-        styles, encoded = ((self.title, self.gaussians),), self.encoded
-        return StyledScene(styles, encoded.cameras, names, notes, self.title, offset=encoded.offset)
+        title, encoded = self.title, self.encoded
+        notes = (title, *encoded.notes, *license_lines(licenses(self.loaded.weights)))
+        styles, names = ((title, self.gaussians),), tuple(encoded.names)
+        return StyledScene(styles, encoded.cameras, names, notes, title, offset=encoded.offset)
 
 
 def image_from_renders(renders: list[Float[Tensor, "3 H W"]]) -> Float[Tensor, "B H W 3"]:
@@ -92,8 +78,5 @@ def splat_columns(gaussians: Gaussians) -> dict[str, Tensor]:
 def gaussians_from_splat(splat: Any, index: int = 0) -> Gaussians:
     """One scene of a batch of ComfyUI's type ``SPLAT``, without its padding."""
     count = splat.positions.shape[1] if splat.counts is None else int(splat.counts[index])
-    columns = (splat.positions, splat.rotations, splat.scales, splat.opacities, splat.sh)
-    means, rotations, scales, opacities, harmonics = (
-        column[index : index + 1, :count].detach().float().cpu().clone() for column in columns
-    )
-    return Gaussians(means, rotations, scales, opacities[..., 0], harmonics)
+    columns = (splat.positions, splat.rotations, splat.scales, splat.opacities[..., 0], splat.sh)
+    return Gaussians(*(column[index : index + 1, :count].detach().float().cpu().clone() for column in columns))

@@ -10,13 +10,11 @@ import urllib.request
 
 import pytest
 
+from tests.support.browser import until
 from tests.support.comfy_interface import ROOT, prompt_of
 
 ADDRESS = os.environ.get("ANYSTYLE_COMFYUI", "")
-DRAFT = {
-    "AnyStyleLoadModel": {"options": "reconstruction=fit reconstruction.quality=draft"},
-    "AnyStyleRender": {"frames": 6},
-}
+DRAFT = "reconstruction=fit reconstruction.quality=draft"
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not ADDRESS, reason="ANYSTYLE_COMFYUI names no server")]
 
@@ -27,31 +25,26 @@ def call(path, body=None):
         return json.loads(answer.read() or "null")
 
 
-def queue(name, changes):
+def queue(name, options=DRAFT):
     graph = json.loads((ROOT / "example_workflows" / f"{name}.json").read_text())
+    changes = {"AnyStyleLoadModel": {"options": options}, "AnyStyleRender": {"frames": 6}}
     answer = call("/prompt", {"prompt": prompt_of(graph, changes)})
     assert not answer["node_errors"]
     return answer["prompt_id"]
 
 
 def finished(prompt, seconds=600):
-    for _ in range(2 * seconds):
-        if history := call(f"/history/{prompt}"):
-            return history[prompt]
-        time.sleep(0.5)
-    raise TimeoutError(prompt)
+    return until(lambda: call(f"/history/{prompt}"), seconds)[prompt]
 
 
 @pytest.mark.parametrize("name", ["photographs_in_a_style", "text_and_picture_as_a_film"])
 def test_workflows(name):
-    history = finished(queue(name, DRAFT))
-    assert history["status"]["status_str"] == "success", history["status"]
-    assert history["outputs"]
+    history = finished(queue(name))
+    assert history["status"]["status_str"] == "success" and history["outputs"], history["status"]
 
 
 def test_cancel():
-    seed = f"reconstruction=fit reconstruction.quality=draft reconstruction.seed={time.time_ns() % 2**31}"
-    prompt = queue("photographs_in_a_style", {"AnyStyleLoadModel": {"options": seed}})
+    prompt = queue("photographs_in_a_style", f"{DRAFT} reconstruction.seed={time.time_ns() % 2**31}")
     time.sleep(20)
     call("/interrupt", {})
     assert finished(prompt, 15)["status"]["messages"][-1][0] == "execution_interrupted"

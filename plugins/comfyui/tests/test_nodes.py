@@ -19,8 +19,16 @@ SMALL = {"AnyStyleLoadModel": {"model": "tiny", "options": "splat.cameras=3 view
 
 
 @pytest.fixture
-def scene():
-    return gaussians(1, 60, 1)
+def scene(comfy):
+    scene = gaussians(1, 60, 1)
+    scene.save(comfy.folders["input"] / "scene.ply")
+    return scene
+
+
+def prompted(path, **changes):
+    """The prompt of a workflow, small, of the splat in the input folder unless ``changes`` name another source."""
+    source = {"AnyStyleLoadCapture": {"source": "scene.ply"}, "AnyStyleRender": {"frames": 3}}
+    return prompt_of(json.loads(path.read_text()), SMALL | source | changes)
 
 
 def test_schemas_fit_their_nodes(comfy):
@@ -50,16 +58,13 @@ def test_workflows_name_what_there_is(comfy, path):
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
 def test_workflows_run(comfy, path, scene):
-    scene.save(comfy.folders["input"] / "scene.ply")
-    changes = SMALL | {"AnyStyleLoadCapture": {"source": "scene.ply"}, "AnyStyleRender": {"frames": 3}}
     seen = []
 
     def core(kind, inputs):
-        if "images" in inputs:
-            seen.append(inputs["images"])
+        seen.extend(inputs[name] for name in ("images",) if name in inputs)
         return torch.rand(1, 20, 30, 4), None
 
-    prompt = prompt_of(json.loads(path.read_text()), changes)
+    prompt = prompted(path)
     results, _ = comfy.run(prompt, core)
     for images in seen:
         assert images.ndim == 4 and images.shape[-1] in (3, 4) and 0 <= float(images.min()) <= float(images.max()) <= 1
@@ -74,12 +79,10 @@ def test_workflows_run(comfy, path, scene):
 
 
 def test_a_cancelled_prompt_ends_within_a_step(comfy, scene):
-    scene.save(comfy.folders["input"] / "scene.ply")
-    prompt = prompt_of(json.loads(WORKFLOWS[0].read_text()), SMALL | {"AnyStyleLoadCapture": {"source": "scene.ply"}})
     calls = []
     comfy.cancelled = lambda: calls.append(1) or len(calls) > 3
     with pytest.raises(Interrupted):
-        comfy.run(prompt)
+        comfy.run(prompted(WORKFLOWS[0]))
     assert len(calls) == 4 and not any(comfy.folders["output"].iterdir())
     parameter = torch.nn.Parameter(torch.ones(1))
     parameter.grad = torch.ones(1)
@@ -87,11 +90,10 @@ def test_a_cancelled_prompt_ends_within_a_step(comfy, scene):
     assert len(calls) == 4, "hooks of a node outlive it"
 
 
-def test_mistakes_are_one_line(comfy, scene):
+def test_mistakes_are_one_line(comfy):
     (comfy.folders["input"] / "empty").mkdir()
-    prompt = prompt_of(json.loads(WORKFLOWS[0].read_text()), SMALL | {"AnyStyleLoadCapture": {"source": "empty"}})
     with pytest.raises(UserError, match="empty"):
-        comfy.run(prompt)
+        comfy.run(prompted(WORKFLOWS[0], AnyStyleLoadCapture={"source": "empty"}))
 
 
 def test_splats_convert_exactly(comfy, scene):
@@ -106,11 +108,9 @@ def test_splats_convert_exactly(comfy, scene):
     for item in fields(Gaussians):
         want = unit_again if item.name == "rotations" else getattr(scene, item.name)
         assert torch.equal(getattr(back, item.name), want), item.name
-    padded = comfy_interface.Splat(
-        **{name: torch.nn.functional.pad(getattr(splat, name), [0, 0] * (getattr(splat, name).ndim - 2) + [0, 4])
-           for name in ("positions", "scales", "rotations", "opacities", "sh")},
-        counts=torch.tensor([60]),
-    )  # fmt: skip
+    columns = {name: column for name, column in vars(splat).items() if name != "counts"}
+    columns = {name: torch.nn.functional.pad(of, [0, 0] * (of.ndim - 2) + [0, 4]) for name, of in columns.items()}
+    padded = comfy_interface.Splat(**columns, counts=torch.tensor([60]))
     assert torch.equal(values.gaussians_from_splat(padded).means, scene.means)
 
     node = comfy.nodes["AnyStyleCaptureFromSplat"]

@@ -26,6 +26,7 @@ from anystyle_viewer.server import MAX_UPLOAD, store_upload
 
 _FAILED = re.compile(r"no cameras are found: (.*?)(?:; (reconstruction=.*) does without)?")
 _MAX_MESSAGE = 256 * 1024
+_OLD = "this page is older than the program; load it again"
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,7 @@ class Message:
 
 
 class Actions(AbstractContextManager["Actions"]):
-    """Answers the page, of whatever tab.
-
-    Args:
-        folder: Where scenes are kept.
-        program: The words that start ``anystyle``.
-    """
+    """Answers the page, of whatever tab, from scenes in a folder; ``program`` are the words that start ``anystyle``."""
 
     def __init__(self, folder: Path, program: Sequence[str]) -> None:
         self.library, self.program = Library(folder), program
@@ -69,16 +65,14 @@ class Actions(AbstractContextManager["Actions"]):
     def state(self, scene: str) -> dict[str, Any]:
         """All scenes in short, and one in full."""
         scenes = self.library.scenes()
-        whole: dict[str, Any] = {
+        files = sorted(self.library.pictures().glob("[!.]*.png"), key=lambda path: -path.stat().st_mtime)
+        return {
             "scenes": [self._short(name, record) for name, record in scenes.items() if record.kind is not None],
-            "pictures": self._pictures(),
+            "pictures": [path.name for path in files[:24]],
+            **({"scene": self._full(scene, scenes[scene]) if scene in scenes else None} if scene else {}),
         }
-        if scene:
-            whole["scene"] = self._full(scene, scenes[scene]) if scene in scenes else None
-        return whole
 
     def _short(self, scene: str, record: Record) -> dict[str, Any]:
-        run = None if record.result is None else self.library.run(scene, record.result)
         return {
             "id": scene,
             "title": self._title(record),
@@ -87,7 +81,7 @@ class Actions(AbstractContextManager["Actions"]):
             "kind": record.kind,
             "state": record.job.state,
             "count": len(self.library.inputs(scene) or self._thumbnails(scene)),
-            "picture": None if run is None else f"/style/{scene}/{record.result}/0",
+            "picture": None if record.result is None else f"/style/{scene}/{record.result}/0",
             "thumbnails": self._thumbnails(scene)[:1],
         }
 
@@ -96,28 +90,19 @@ class Actions(AbstractContextManager["Actions"]):
         return named or time.strftime("Scene of %d %B, %H:%M", time.localtime(record.created))
 
     def _thumbnails(self, scene: str) -> list[str]:
-        folder = self.library.thumbnails(scene)
         # Names with a dot in front are of files that are being written.
-        return sorted(path.name for path in folder.glob("[!.]*.jpg")) if folder.is_dir() else []
-
-    def _pictures(self) -> list[str]:
-        files = self.library.pictures().glob("[!.]*.png")
-        return [path.name for path in sorted(files, key=lambda path: -path.stat().st_mtime)][:24]
+        return sorted(path.name for path in self.library.thumbnails(scene).glob("[!.]*.jpg"))
 
     def _full(self, scene: str, record: Record) -> dict[str, Any]:
-        job = record.job
+        job, viewer = record.job, self.viewers.of(scene)
         failed = _FAILED.fullmatch(job.error) if job.state == "failed" else None
-        viewer = self.viewers.of(scene)
         full = self._short(scene, record) | {
             "files": [path.name for path in self.library.inputs(scene)],
             "thumbnails": self._thumbnails(scene),
             "settings": asdict(record.settings),
-            "number": job.number,
-            "error": job.error,
+            **{name: getattr(job, name) for name in ("number", "error", "notes", "seconds")},
             "reasons": failed[1].split("; ") if failed else [],
             "without_cameras": failed[2] if failed else None,
-            "notes": job.notes,
-            "seconds": job.seconds,
             "steps": [name for name, _, _ in steps_of(record.kind)],
             "log": self.library.log(scene, job.number).is_file(),
             "result": None if record.result is None else self._result(scene, record, record.result),
@@ -151,75 +136,92 @@ class Actions(AbstractContextManager["Actions"]):
 
     def file(self, kind: str, words: Sequence[str]) -> Path | None:
         """The file at an address, or ``None``; no part of an address becomes a path by itself."""
-        if kind == "painting" and len(words) == 1:
-            return resolved(Path(f"{PREFIX}{words[0]}")) if words[0] in painting_names() else None
-        if kind == "picture" and len(words) == 1:
-            return next((path for path in self.library.pictures().glob("*.png") if path.name == words[0]), None)
-        if len(words) < 2:
-            return None
-        scene, *rest = words
-        if kind == "thumbnail" and len(rest) == 1:
-            return next((path for path in self.library.thumbnails(scene).glob("*.jpg") if path.name == rest[0]), None)
-        if not rest[0].isdecimal():
-            return None
-        number = int(rest[0])
+        match kind, *words:
+            case "painting", name:
+                return resolved(Path(f"{PREFIX}{name}")) if name in painting_names() else None
+            case "picture", name:
+                return _inside(self.library.pictures(), name)
+            case "thumbnail", scene, name:
+                return _inside(self.library.thumbnails(scene), name)
+            case _, scene, number, *rest if number.isdecimal():
+                file = self._made(kind, scene, int(number), rest)
+                return file if file is not None and file.is_file() else None
+        return None
+
+    def _made(self, kind: str, scene: str, number: int, rest: Sequence[str]) -> Path | None:
+        """A file that a run has made, or one that is made of its results now."""
         run, extra = self.library.run(scene, number), self.library.files(scene, number)
-        file = None
-        if kind == "log":
-            file = self.library.log(scene, number)
-        elif kind == "page":
-            file = results.page_of(run)
-        elif kind == "export" and len(rest) == 3:
-            file = results.download(run, extra, rest[2], rest[1], self.program)
-        elif kind in ("style", "film", "sheet") and len(rest) == 2 and rest[1].isdecimal() and run.is_dir():
-            styles = results.styles_of(run, results.read_report(run))
-            if int(rest[1]) < len(styles):
-                style = styles[int(rest[1])]
-                inside = {"film": style.folder / "video.mp4", "sheet": style.folder / "sheet.png"}
-                file = results.picture(style, extra) if kind == "style" else inside[kind]
-        return file if file is not None and file.is_file() else None
+        match kind, *rest:
+            case ["log"]:
+                return self.library.log(scene, number)
+            case ["page"]:
+                return results.page_of(run)
+            case "export", style, format:
+                return results.download(run, extra, format, style, self.program)
+            case (("style" | "film" | "sheet"), index) if index.isdecimal() and run.is_dir():
+                styles = results.styles_of(run, results.read_report(run))[int(index) :]
+                if styles and kind == "style":
+                    return results.picture(styles[0], extra)
+                return styles[0].folder / {"film": "video.mp4", "sheet": "sheet.png"}[kind] if styles else None
+        return None
 
     def post(self, words: Sequence[str], query: Mapping[str, str], body: BinaryIO) -> dict[str, Any]:
         """Change something; the answer is what the page needs to go on."""
-        if words == ["pictures"]:
-            folder = self.library.pictures()
-            return {"name": store_upload(folder, query.get("name", ""), body.read()).name}
-        if len(words) == 3 and words[0] == "scenes" and words[2] == "files":
-            numbers = [query.get(name, "") for name in ("offset", "total")]
-            if not all(number.isdecimal() for number in numbers):
-                raise UserError("an upload without a size; load the page again")
-            offset, total = map(int, numbers)
-            name = query.get("name", "")
-            return {"name": self.uploads.receive(words[1], name, query.get("upload", ""), offset, total, body)}
+        match words:
+            case ["pictures"]:
+                return {"name": store_upload(self.library.pictures(), query.get("name", ""), body.read()).name}
+            case ["scenes", scene, "files"]:
+                numbers = [query.get(name, "") for name in ("offset", "total")]
+                if not all(number.isdecimal() for number in numbers):
+                    raise UserError("an upload without a size; load the page again")
+                name, upload = query.get("name", ""), query.get("upload", "")
+                return {"name": self.uploads.receive(scene, name, upload, *map(int, numbers), body)}
         text = body.read(_MAX_MESSAGE) or b"{}"
-        if words == ["scenes"]:
-            return {"id": self._create(parse_json(text, Message, source="the request"))}
-        if len(words) == 3 and words[0] == "scenes":
-            scene, action = words[1:]
-            self.library[scene]
-            if action == "run":
+        match words:
+            case ["scenes"]:
+                return {"id": self._create(parse_json(text, Message, source="the request"))}
+            case ["scenes", scene, "run"]:
                 self._run(scene, parse_json(text, Settings, source="the form"))
                 return {}
-            return self._change(scene, action, parse_json(text, Message, source="the request"))
-        raise UserError("this page is older than the program; load it again")
+            case ["scenes", scene, action]:
+                self.library[scene]
+                return self._change(scene, action, parse_json(text, Message, source="the request"))
+        raise UserError(_OLD)
 
     def _change(self, scene: str, action: str, message: Message) -> dict[str, Any]:
         match action:
             case "cancel":
                 self.jobs.cancel(scene)
             case "rename":
-                self._rename(scene, message.title)
+                title = " ".join(message.title.split())
+                if not title:
+                    raise UserError("a scene needs a name")
+                self.library.update(scene, lambda record: replace(record, title=title))
             case "delete":
                 self._delete(scene)
             case "remove":
                 self.uploads.remove(scene, message.name)
             case "live":
-                self._live(scene)
+                record, number = self._finished(scene)
+                words = [word for word in record.job.words[1:] if word.startswith(("method", "model"))]
+                self.viewers.start(scene, self.library.run(scene, number), self.library.path(scene) / "live", words)
             case "export":
-                return self._export(scene, message)
+                record, number = self._finished(scene)
+                style, format = message.style, message.format
+                run, files = self.library.run(scene, number), self.library.files(scene, number)
+                file = results.download(run, files, format, style, self.program)
+                address = f"/export/{scene}/{number}/{style}/{format}"
+                return {"address": address, "name": f"{self._title(record)}.{format}", "bytes": file.stat().st_size}
             case _:
-                raise UserError("this page is older than the program; load it again")
+                raise UserError(_OLD)
         return {}
+
+    def _finished(self, scene: str) -> tuple[Record, int]:
+        """A scene, and the number of the run whose results are shown."""
+        record = self.library[scene]
+        if record.result is None:
+            raise UserError("the scene is not made yet")
+        return record, record.result
 
     def _create(self, message: Message) -> str:
         scene = self.library.create(" ".join(message.title.split()))
@@ -239,12 +241,6 @@ class Actions(AbstractContextManager["Actions"]):
         words = command_words(settings, record.kind, source, self.library.pictures())
         self.jobs.submit(scene, settings, words)
 
-    def _rename(self, scene: str, title: str) -> None:
-        title = " ".join(title.split())
-        if not title:
-            raise UserError("a scene needs a name")
-        self.library.update(scene, lambda record: replace(record, title=title))
-
     def _delete(self, scene: str) -> None:
         self.jobs.cancel(scene)
         if self.library[scene].job.state in ACTIVE:
@@ -252,21 +248,7 @@ class Actions(AbstractContextManager["Actions"]):
         self.viewers.close(scene)
         self.library.delete(scene)
 
-    def _live(self, scene: str) -> None:
-        record = self.library[scene]
-        if record.result is None:
-            raise UserError("the scene is not made yet")
-        keep = self.library.path(scene) / "live"
-        run = self.library.run(scene, record.result)
-        words = [word for word in record.job.words[1:] if word.startswith(("method", "model"))]
-        self.viewers.start(scene, run, keep, words)
 
-    def _export(self, scene: str, message: Message) -> dict[str, Any]:
-        record = self.library[scene]
-        if record.result is None:
-            raise UserError("the scene is not made yet")
-        run, files = self.library.run(scene, record.result), self.library.files(scene, record.result)
-        file = results.download(run, files, message.format, message.style, self.program)
-        name = f"{self._title(record)}.{message.format}"
-        address = f"/export/{scene}/{record.result}/{message.style}/{message.format}"
-        return {"address": address, "name": name, "bytes": file.stat().st_size}
+def _inside(folder: Path, name: str) -> Path | None:
+    """The file of a name in a folder."""
+    return next((path for path in folder.glob("*") if path.name == name), None)

@@ -18,11 +18,18 @@ PATIENCE = 15.0
 """Seconds that a process gets to clear away what it began."""
 
 
+def started(command: Sequence[str], **outputs: int) -> subprocess.Popen[str]:
+    """A process of its own that gets no input; the ``outputs`` are text."""
+    return subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, text=True, errors="replace", start_new_session=True, **outputs
+    )
+
+
 class Jobs:
-    """The queue of runs.
+    """The queue of runs of a library's scenes.
 
     Args:
-        library: Where scenes lie.
+        library: The scenes.
         program: The words that start ``anystyle``.
         on_result: Called with a scene when its results are new.
     """
@@ -102,16 +109,8 @@ class Jobs:
         status = None
         with self._changed:
             if not self._ending:
-                self._process = subprocess.Popen(
-                    command,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    # A program whose reader has gone ends at its next line: none outlives this one.
-                    stderr=subprocess.PIPE,
-                    text=True,
-                    errors="replace",
-                    start_new_session=True,
-                )
+                # A program whose reader has gone ends at its next line: none outlives this one.
+                self._process = started(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         if self._process is not None:
             self._follow(self._process, log, record)
             status = self._process.wait()

@@ -27,73 +27,43 @@ ERROR = "anystyle: error: "
 
 @dataclass(frozen=True)
 class Settings:
-    """What a scene is made with: the fields of the form.
+    """What a scene is made with: the fields of the form."""
 
-    Args:
-        texts: Styles in words.
-        images: Styles as pictures: ``example:NAME``, or the name of an uploaded one.
-        mix: The point between exactly two styles, in [0, 1].
-        quality: Of the fit.
-        strength: In [0, 1].
-        preserve_color: In [0, 1].
-        scale: Size of strokes.
-        method: A plugin or preset of the kind ``method``.
-        more: Further words of the command line.
-    """
-
-    texts: Annotated[tuple[Text, ...], Meta(max_length=24)] = ()
-    images: Annotated[tuple[Text, ...], Meta(max_length=24)] = ()
-    mix: float | None = None
-    quality: str = "good"
-    strength: float = 1.0
-    preserve_color: float = 0.0
-    scale: float = 1.0
-    method: str = "branch"
-    more: Text = ""
+    texts: Annotated[tuple[Text, ...], Meta(max_length=24)] = ()  # styles in words
+    images: Annotated[tuple[Text, ...], Meta(max_length=24)] = ()  # ``example:NAME``, or names of uploaded pictures
+    mix: float | None = None  # the point between exactly two styles, in [0, 1]
+    quality: str = "good"  # of the fit
+    strength: float = 1.0  # in [0, 1]
+    preserve_color: float = 0.0  # in [0, 1]
+    scale: float = 1.0  # size of strokes
+    method: str = "branch"  # a plugin or preset of the kind ``method``
+    more: Text = ""  # more arguments of the command line
 
 
 @dataclass(frozen=True)
 class Job:
-    """The latest run of a scene.
+    """The latest run of a scene."""
 
-    Args:
-        state: ``interrupted``: the program ended while it ran or waited.
-        error: Why it failed, in one line.
-        number: Of the run; its results lie in ``runs/NUMBER``.
-        seconds: That it took.
-        notes: Warnings of the run.
-        words: Of its command line.
-    """
-
+    # ``interrupted``: the program ended while it ran or waited
     state: Literal["none", "waiting", "running", "done", "failed", "cancelled", "interrupted"] = "none"
-    error: str = ""
-    number: int = 0
-    seconds: float = 0.0
-    notes: tuple[str, ...] = ()
-    words: tuple[str, ...] = ()
+    error: str = ""  # why it failed, in one line
+    number: int = 0  # of the run; its results lie in ``runs/NUMBER``
+    seconds: float = 0.0  # that it took
+    notes: tuple[str, ...] = ()  # warnings of the run
+    words: tuple[str, ...] = ()  # of its command line
 
 
 @dataclass(frozen=True)
 class Record:
-    """``scene.json``.
+    """``scene.json``."""
 
-    Args:
-        title: Given by the user.
-        created: Seconds since 1970.
-        kind: What the scene is made of; ``None`` while nothing was uploaded.
-        source: ``example:NAME`` for an example.
-        settings: Of the latest run.
-        job: The latest run.
-        result: The number of the run whose results are shown.
-    """
-
-    title: str = ""
-    created: float = 0.0
-    kind: Kind | None = None
-    source: str = ""
-    settings: Settings = field(default_factory=Settings)
-    job: Job = field(default_factory=Job)
-    result: int | None = None
+    title: str = ""  # given by the user
+    created: float = 0.0  # seconds since 1970
+    kind: Kind | None = None  # what the scene is made of; ``None`` while nothing was uploaded
+    source: str = ""  # ``example:NAME`` for an example
+    settings: Settings = field(default_factory=Settings)  # of the latest run
+    job: Job = field(default_factory=Job)  # the latest run
+    result: int | None = None  # the number of the run whose results are shown
 
 
 class Library:
@@ -134,7 +104,7 @@ class Library:
         with self._lock:
             (self._scenes / scene).mkdir()
             self._records[scene] = Record(title, created=time.time())
-            write_json(self.path(scene) / "scene.json", asdict(self._records[scene]))
+            self.update(scene, lambda record: record)
         return scene
 
     def update(self, scene: str, change: Callable[[Record], Record]) -> Record:

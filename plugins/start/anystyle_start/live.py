@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from anystyle_start.jobs import started
 from anystyle_start.library import ERROR
 
 IDLE = 120
@@ -24,11 +25,7 @@ class ViewerProcess:
 
 
 class Viewers:
-    """The viewers that run.
-
-    Args:
-        program: The words that start ``anystyle``.
-    """
+    """The viewers that run; ``program`` are the words that start ``anystyle``."""
 
     def __init__(self, program: Sequence[str]) -> None:
         self.program = tuple(program)
@@ -41,15 +38,8 @@ class Viewers:
             viewer = self._viewers.get(scene)
             if viewer is None or viewer.process.poll() is not None:
                 options = ["--port", "0", "--keep", str(keep), "--close-after", str(IDLE)]
-                process = subprocess.Popen(
-                    [*self.program, "view", str(results), *options, *words],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.STDOUT,
-                    text=True,
-                    errors="replace",
-                    start_new_session=True,
-                )
+                command = [*self.program, "view", str(results), *options, *words]
+                process = started(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
                 viewer = self._viewers[scene] = ViewerProcess(process)
                 threading.Thread(target=_follow, args=(viewer,), daemon=True).start()
             return viewer
@@ -63,13 +53,12 @@ class Viewers:
         """End the viewer of a scene."""
         with self._lock:
             viewer = self._viewers.pop(scene, None)
-        if viewer is not None and viewer.process.poll() is None:
+        if viewer is not None:
             viewer.process.terminate()
             try:
                 viewer.process.wait(timeout=10)
             except subprocess.TimeoutExpired:
                 viewer.process.kill()
-                viewer.process.wait()
 
     def close_all(self) -> None:
         """End all viewers."""

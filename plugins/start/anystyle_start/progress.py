@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from anystyle_start.library import ERROR, Kind
 
@@ -25,7 +25,7 @@ STEPS: Mapping[str, tuple[tuple[str, tuple[str, ...], float], ...]] = {
         ("Write", ("write",), 0.1),
     ),
 }
-"""For photographs and films, and for splats: what a run does, the stages of it, and its share of the time."""
+"""For photographs and films, and for splats: the steps of a run, the stages of each, and its share of the time."""
 
 _CAMERAS = {
     "features": "looking for points to recognise in photograph {0} of {1}",
@@ -36,21 +36,13 @@ _CAMERAS = {
 
 @dataclass(frozen=True)
 class State:
-    """How far a run is.
+    """How far a run is."""
 
-    Args:
-        sentence: For people.
-        step: The index in the steps of its kind.
-        done: The fraction of the whole that is done, in [0, 1].
-        notes: Warnings so far.
-        error: Why it failed.
-    """
-
-    sentence: str = "Starting."
-    step: int = 0
-    done: float = 0.0
-    notes: tuple[str, ...] = ()
-    error: str = ""
+    sentence: str = "Starting."  # for people
+    step: int = 0  # the index in the steps of its kind
+    done: float = 0.0  # the fraction of the whole that is done, in [0, 1]
+    notes: tuple[str, ...] = ()  # warnings so far
+    error: str = ""  # why it failed
 
 
 def steps_of(kind: Kind | None) -> tuple[tuple[str, tuple[str, ...], float], ...]:
@@ -59,18 +51,17 @@ def steps_of(kind: Kind | None) -> tuple[tuple[str, tuple[str, ...], float], ...
 
 
 def follow(state: State, line: str, kind: Kind | None) -> State:
-    """The state after a further line of the program."""
+    """The state after another line of the program."""
     line = line.rstrip()
     if line.startswith(ERROR):
-        return State(state.sentence, state.step, state.done, state.notes, line.removeprefix(ERROR))
+        return replace(state, error=line.removeprefix(ERROR))
     match = _LINE.fullmatch(line)
     steps = steps_of(kind)
     known = {stage: index for index, (_, stages, _) in enumerate(steps) for stage in stages}
     if match is None or match[1] not in known:
         is_note = line and not line[0].isspace() and not line.startswith("Traceback") and line not in state.notes
-        notes = (*state.notes, line[:1000])[-20:] if is_note else state.notes
-        return State(state.sentence, state.step, state.done, notes, state.error)
-    stage, rest = match[1], match[2]
+        return replace(state, notes=(*state.notes, line[:1000])[-20:]) if is_note else state
+    stage, rest = match.groups()
     step = known[stage]
     count = _COUNT.search(rest)
     part = (int(count[1]) - (stage == "restyle")) / max(int(count[2]), 1) if count and stage != "encode" else 0.0
@@ -79,15 +70,14 @@ def follow(state: State, line: str, kind: Kind | None) -> State:
         part = (index + part) / len(_CAMERAS) if count else 0.0
     before = sum(share for _, _, share in steps[:step])
     done = max(state.done, before + min(max(part, 0.0), 1.0) * steps[step][2])
-    return State(_sentence(stage, rest, kind), step, done, state.notes, state.error)
+    return replace(state, sentence=_sentence(stage, rest, kind), step=step, done=done)
 
 
 def _sentence(stage: str, rest: str, kind: Kind | None) -> str:
     count, left = _COUNT.search(rest), _LEFT.search(rest)
     what = {"film": "the film", "splat": "the splat"}.get(str(kind), "the photographs")
     if _CACHED in rest:
-        what = "The cameras" if stage == "cameras" else "The scene"
-        return f"{what} {'are' if stage == 'cameras' else 'is'} known from an earlier run."
+        return f"{'The cameras are' if stage == 'cameras' else 'The scene is'} known from an earlier run."
     if stage == "cameras":
         word = next((words for name, words in _CAMERAS.items() if rest.startswith(name)), None)
         more = f": {word.format(count[1], count[2])}" if word and count else f" of {rest.removeprefix('of ')}"

@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from PIL import Image
 
@@ -47,8 +48,7 @@ class Report:
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class StyleFolder:
+class StyleFolder(NamedTuple):
     """The scene in one style."""
 
     title: str
@@ -79,7 +79,7 @@ def shown_title(style: StyleFolder) -> str:
 
 def page_of(run: Path) -> Path | None:
     """The page that shows a run's styles; where styles have Gaussians of their own, that of the first."""
-    return next(iter([*sorted(run.glob("scene.html")), *sorted(run.glob("*/scene.html"))]), None)
+    return next(iter([*run.glob("scene.html"), *sorted(run.glob("*/scene.html"))]), None)
 
 
 def picture(style: StyleFolder, files: Path) -> Path | None:
@@ -107,7 +107,7 @@ def download(run: Path, files: Path, name: str, style: str, program: Sequence[st
 
     Args:
         run: The results.
-        files: Where further files of them are kept.
+        files: Where more files of them are stored.
         name: A plugin of kind ``format``, or ``zip`` for all results.
         style: The number of a style, or ``all`` for formats that hold several.
         program: The words that start ``anystyle``.

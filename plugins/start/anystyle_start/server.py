@@ -3,6 +3,7 @@
 import json
 import logging
 import mimetypes
+import re
 import secrets
 import sys
 import threading
@@ -40,21 +41,19 @@ Reply = tuple[int, dict[str, str], bytes | Path]
 
 
 class Application:
-    """The WSGI application.
-
-    Args:
-        actions: Answer what is asked.
-    """
+    """The WSGI application; ``actions`` answer what is asked."""
 
     def __init__(self, actions: Actions) -> None:
         self.actions, self.token = actions, secrets.token_urlsafe(24)
         pages = files("anystyle_start") / "pages"
-        texts = {name: (pages / name).read_text(encoding="utf-8") for name in ("start.html", "start.css", "start.js")}
-        page = Template(texts["start.html"]).substitute(token=self.token)
+
+        def text(name: str) -> str:
+            return (pages / name).read_text(encoding="utf-8")
+
         self._static = {
-            "/": (_HTML, page.encode()),
-            "/start.css": ("text/css; charset=utf-8", texts["start.css"].encode()),
-            "/start.js": ("text/javascript; charset=utf-8", texts["start.js"].encode()),
+            "/": (_HTML, Template(text("start.html")).substitute(token=self.token)),
+            "/start.css": ("text/css; charset=utf-8", text("start.css")),
+            "/start.js": ("text/javascript; charset=utf-8", text("start.js")),
         }
 
     def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
@@ -67,45 +66,46 @@ class Application:
             "Cross-Origin-Resource-Policy": "same-origin",
             **headers,
         }
-        content: Iterable[bytes]
+        content: Iterable[bytes] = [body] if isinstance(body, bytes) else []
         if isinstance(body, Path):
             status, extra, content = _file(body, environ)
             headers |= extra
         else:
-            headers["Content-Length"], content = str(len(body)), [body]
+            headers["Content-Length"] = str(len(body))
         start_response(f"{status} {HTTPStatus(status).phrase}", list(headers.items()))
         return content
 
     def _answer(self, environ: dict[str, Any]) -> Reply:
         path, method = environ["PATH_INFO"], environ["REQUEST_METHOD"]
-        origin = environ.get("HTTP_ORIGIN")
-        status = refusal(environ.get("HTTP_HOST", ""), origin, changes=method != "GET")
-        if environ.get("HTTP_SEC_FETCH_SITE", "none") not in ("same-origin", "none") and path != "/":
-            status = status or 403
-        if method not in ("GET", "POST"):
-            status = status or 405
-        if method == "POST" and not secrets.compare_digest(environ.get("HTTP_X_ANYSTYLE_TOKEN", ""), self.token):
-            status = status or 403
+        status = refusal(environ.get("HTTP_HOST", ""), environ.get("HTTP_ORIGIN"), changes=method != "GET")
+        elsewhere = environ.get("HTTP_SEC_FETCH_SITE", "none") not in ("same-origin", "none") and path != "/"
+        guessed = not secrets.compare_digest(environ.get("HTTP_X_ANYSTYLE_TOKEN", ""), self.token)
+        if not status and (elsewhere or (method == "POST" and guessed)):
+            status = 403
+        if not status and method not in ("GET", "POST"):
+            status = 405
         if status:
             return _error(status, "this request is not from the page of this program; load the page again")
         try:
-            return self._get(path, environ) if method == "GET" else self._post(path, environ)
+            query = dict(parse_qsl(environ.get("QUERY_STRING", "")))
+            if method == "GET":
+                return self._get(path, query)
+            return _json(200, self.actions.post(path.split("/")[1:], query, environ["wsgi.input"]))
         except UserError as error:
             return _error(400, one_line(error))
         except OSError as error:
             _log.error("%s cannot be answered: %s", path, error)
             return _error(503, one_line(error.strerror or error))
 
-    def _get(self, path: str, environ: Mapping[str, Any]) -> Reply:
+    def _get(self, path: str, query: Mapping[str, str]) -> Reply:
         if path in self._static:
             kind, body = self._static[path]
-            return 200, {"Content-Type": kind, "Content-Security-Policy": _PAGE_POLICY}, body
-        query = dict(parse_qsl(environ.get("QUERY_STRING", "")))
+            return 200, {"Content-Type": kind, "Content-Security-Policy": _PAGE_POLICY}, body.encode()
         first, *rest = path.strip("/").split("/")
         if first == "choices":
-            return _json(self.actions.choices)
+            return _json(200, self.actions.choices)
         if first == "state":
-            return _json(self.actions.state(query.get("scene", "")))
+            return _json(200, self.actions.state(query.get("scene", "")))
         file = self.actions.file(first, rest)
         if file is None:
             return _error(404, "there is nothing here")
@@ -120,31 +120,26 @@ class Application:
             headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{quote(name[:120], safe='')}"
         return 200, headers, file
 
-    def _post(self, path: str, environ: Mapping[str, Any]) -> Reply:
-        query = dict(parse_qsl(environ.get("QUERY_STRING", "")))
-        _, *words = path.split("/")
-        return _json(self.actions.post(words, query, environ["wsgi.input"]))
 
-
-def _json(value: object) -> Reply:
-    return 200, {"Content-Type": _JSON}, json.dumps(value, ensure_ascii=False).encode()
+def _json(status: int, value: object) -> Reply:
+    return status, {"Content-Type": _JSON}, json.dumps(value, ensure_ascii=False).encode()
 
 
 def _error(status: int, reason: str) -> Reply:
-    return status, {"Content-Type": _JSON}, json.dumps({"error": reason}, ensure_ascii=False).encode()
+    return _json(status, {"error": reason})
 
 
 def _file(path: Path, environ: Mapping[str, Any]) -> tuple[int, dict[str, str], Iterable[bytes]]:
     """A file, or the range of it that is asked for: players of films seek."""
     size = path.stat().st_size
-    unit, _, wanted = environ.get("HTTP_RANGE", "").partition("=")
-    first, _, last = wanted.partition("-")
+    ranged = re.fullmatch(r"bytes=(\d+)-(\d*)", environ.get("HTTP_RANGE", ""))
     file = path.open("rb")
-    if unit == "bytes" and first.isdecimal() and int(first) < size and (last.isdecimal() or not last):
-        end = min(int(last or size - 1), size - 1, int(first) + PART - 1)
-        file.seek(int(first))
+    if ranged and int(ranged[1]) < size:
+        first, last = int(ranged[1]), int(ranged[2] or size - 1)
         with file:
-            content = file.read(max(0, end + 1 - int(first)))
+            file.seek(first)
+            content = file.read(max(0, min(last + 1 - first, PART)))
+        end = first + len(content) - 1
         headers = {"Content-Range": f"bytes {first}-{end}/{size}", "Content-Length": str(len(content))}
         return 206, headers, [content]
     wrapper = environ.get("wsgi.file_wrapper", FileWrapper)
@@ -155,7 +150,7 @@ class StartServer(AbstractContextManager["StartServer"]):
     """The running start page; as a context manager it ends its work at the end.
 
     Args:
-        folder: Where scenes are kept; one program at a time uses it.
+        folder: Where scenes are stored; one program at a time uses it.
         port: 0 takes a free one.
         program: The words that start ``anystyle``.
     """

@@ -30,9 +30,10 @@ SIDE = 480
 """The longer side of small pictures in pixels."""
 _UPLOAD = re.compile(r"[0-9a-z]{1,32}")
 _NAMES: dict[Kind, str] = {"photographs": "photographs", "film": "a film", "splat": "a splat"}
+Uploaded = Literal["photographs", "film", "splat"]
 
 
-def suffixes() -> dict[Literal["photographs", "film", "splat"], list[str]]:
+def suffixes() -> dict[Uploaded, list[str]]:
     """The suffixes of files that are taken."""
     splats = [f".{name}" for name in catalog().names("format") if catalog().find("format", name).load().reads]
     return {"photographs": sorted(images.SUFFIXES), "film": sorted(video.SUFFIXES), "splat": splats}
@@ -42,26 +43,13 @@ class Uploads:
     """Receives the files of scenes."""
 
     def __init__(self, library: Library) -> None:
-        self.library, self._suffixes, self._lock = library, suffixes(), threading.Lock()
-
-    def kind_of(self, name: str) -> Literal["photographs", "film", "splat"]:
-        """What a file is, by its suffix."""
-        suffix = Path(name).suffix.lower()
-        for kind, known in self._suffixes.items():
-            if suffix in known:
-                return kind
-        raise UserError(f"{name[:80]} is no photograph, film or splat that can be read; JPEG, PNG and MP4 can")
+        self.library, self._lock = library, threading.Lock()
+        self._kinds = {suffix: kind for kind, known in suffixes().items() for suffix in known}
 
     def receive(self, scene: str, name: str, upload: str, offset: int, total: int, part: BinaryIO) -> str | None:
-        """Append a part of a file; the last one checks and keeps the file.
+        """Append a part of a file of :data:`PART` bytes at most; the last one checks and stores the file.
 
-        Args:
-            scene: Which the file belongs to.
-            name: Of the file, as the user has it.
-            upload: Chosen by the page, the same for all parts of a file.
-            offset: Bytes that came before.
-            total: Bytes of the whole file.
-            part: At most :data:`PART` bytes.
+        ``name`` is the file's, ``upload`` the same for all its parts; ``offset`` bytes came before, of ``total``.
 
         Returns:
             The name that the file has got, once it is whole.
@@ -85,9 +73,11 @@ class Uploads:
         finally:
             partial.unlink(missing_ok=True)
 
-    def _admitted(self, scene: str, name: str, total: int) -> Literal["photographs", "film", "splat"]:
+    def _admitted(self, scene: str, name: str, total: int) -> Uploaded:
         """The kind of a file that the scene can take."""
-        kind, record = self.kind_of(name), self.library[scene]
+        kind, record = self._kinds.get(Path(name).suffix.lower()), self.library[scene]
+        if kind is None:
+            raise UserError(f"{name[:80]} is not a photograph, film or splat that can be read; JPEG, PNG and MP4 can")
         if not 0 < total <= LIMITS[kind]:
             raise UserError(f"{name[:80]} has {total:,} bytes; from 1 to {LIMITS[kind]:,} are taken")
         if total > shutil.disk_usage(self.library.folder).free // 2:
@@ -103,15 +93,11 @@ class Uploads:
             raise UserError(f"{name[:80]}: a scene takes at most {MAX_FILES} photographs")
         return kind
 
-    def _keep(self, scene: str, name: str, kind: Literal["photographs", "film", "splat"], partial: Path) -> str:
+    def _keep(self, scene: str, name: str, kind: Uploaded, partial: Path) -> str:
         """Check a whole file, draw its small pictures, and move it to the scene's inputs."""
-        named = partial.with_name(f"{partial.name}{Path(name).suffix.lower()}")
-        partial.rename(named)
+        named = partial.rename(partial.with_name(f"{partial.name}{Path(name).suffix.lower()}"))
         try:
-            try:
-                pictures = small_pictures(kind, named)
-            except UserError as error:
-                raise UserError(str(error).replace(str(named), name[:80])) from None
+            pictures = small_pictures(kind, named)
             with self._lock:  # two files that end at once may have one name
                 self._admitted(scene, name, named.stat().st_size)
                 folder = self.library.path(scene) / "input"
@@ -120,11 +106,13 @@ class Uploads:
                 final = folder / f"{distinct([*(path.stem for path in folder.iterdir()), stem], '-')[-1]}{named.suffix}"
                 save_pictures(pictures, self.library.thumbnails(scene), final.name)
                 named.rename(final)
-                title = stem.replace("-", " ") if kind != "photographs" else ""
+                title = stem.replace("-", " ") * (kind != "photographs")
                 self.library.update(
                     scene, lambda record: replace(record, kind=kind, title=record.title or title, source="")
                 )
             return final.name
+        except UserError as error:
+            raise UserError(str(error).replace(str(named), name[:80])) from None
         finally:
             named.unlink(missing_ok=True)
 

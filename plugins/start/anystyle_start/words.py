@@ -7,6 +7,7 @@ from pathlib import Path
 from anystyle.cli.arguments import is_override, split
 from anystyle.errors import UserError, unknown
 from anystyle.examples import PREFIX, examples, resolved
+from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.request import Request, parser
 from anystyle.pipeline.styles import check_text
 from anystyle.registry.catalog import catalog
@@ -17,44 +18,33 @@ QUALITIES = ("draft", "good", "best")
 
 
 def command_words(settings: Settings, kind: Kind | None, inputs: str, pictures: Path) -> list[str]:
-    """The words of ``anystyle stylize`` without ``--out``; a UserError says which of the settings makes no sense.
+    """The arguments of ``anystyle stylize`` without ``--out``; a UserError says which of the settings makes no sense.
 
-    Args:
-        settings: The form.
-        kind: Of the inputs.
-        inputs: A folder, a file, or an example.
-        pictures: The folder of uploaded pictures.
+    ``inputs`` of a ``kind`` are a folder, a file, or an example; ``pictures`` is the folder of uploaded pictures.
     """
-    further = _further(settings.more)
-    words = [inputs]
     for text in settings.texts:
         check_text(text, "the style in words")
-        words += [f"--text={text}"] if text.startswith("-") else ["--text", text]
-    for name in settings.images:
-        words += ["--image", image_word(pictures, name)]
-    for flag, value, default in (
-        ("--mix", settings.mix, None),
-        ("--strength", settings.strength, 1.0),
-        ("--preserve-color", settings.preserve_color, 0.0),
-        ("--scale", settings.scale, 1.0),
-    ):
-        words += [flag, f"{value:g}"] if value is not None and value != default else []
+    further = _further(settings.more)
+    styles = (*settings.texts, *(Path(image_word(pictures, name)) for name in settings.images))
+    controls = Controls(settings.strength, settings.preserve_color, settings.scale)
+    mix = [] if settings.mix is None else ["--mix", f"{settings.mix:g}"]
     given = {word.lstrip("+~").partition("=")[0] for word in further if is_override(word)}
     ours = {key: word for key, word in _overrides(settings, kind).items() if key not in given}
     if {"reconstruction", "poses"} & given:  # what is left of ours may not fit to the choice
-        ours = {key: word for key, word in ours.items() if key in ("method",)}
-    words += [*ours.values(), *further]
+        ours = {key: word for key, word in ours.items() if key == "method"}
+    words = [*Request((inputs,), styles).args(), *mix, *Request(controls=(controls,)).args(), *ours.values(), *further]
     Request.from_args(words).check()
     return words
 
 
 def _overrides(settings: Settings, kind: Kind | None) -> dict[str, str]:
     """The words that choose components, by their keys."""
-    known = choices("method")
-    if settings.method not in known:
-        raise UserError(unknown("method", settings.method, known))
-    if settings.quality not in QUALITIES:
-        raise UserError(unknown("quality", settings.quality, QUALITIES))
+    for what, value, known in (
+        ("method", settings.method, choices("method")),
+        ("quality", settings.quality, QUALITIES),
+    ):
+        if value not in known:
+            raise UserError(unknown(what, value, known))
     words = {} if settings.method == "branch" else {"method": f"method={settings.method}"}
     estimator = next(iter(catalog().names("pose_estimator")), None)
     if kind == "splat" or estimator is None:
@@ -69,9 +59,9 @@ def _overrides(settings: Settings, kind: Kind | None) -> dict[str, str]:
 
 
 def image_word(pictures: Path, name: str) -> str:
-    """An example, or the file of an uploaded picture, as a word of the command line."""
+    """An example, or the file of an uploaded picture, as an argument."""
     if name.startswith(PREFIX):
-        resolved(Path(name))  # refuses what is none
+        resolved(Path(name))  # refuses what is not an example
         return name
     path = next((path for path in pictures.glob("*.png") if path.name == name), None)
     if path is None:
@@ -80,21 +70,20 @@ def image_word(pictures: Path, name: str) -> str:
 
 
 def _further(text: str) -> list[str]:
-    """The words of the field for all options; none that would change where inputs and results lie."""
+    """The arguments in the field for all options; none that would change where inputs and results lie."""
     try:
         words = shlex.split(text)
     except ValueError:
         raise UserError("further options: a quotation mark is not closed; close it, or leave it out") from None
     arguments, overrides = split(parser(), words)
-    for flag, value in (("--out", arguments.out != parser().get_default("out")), ("--open", arguments.open)):
-        if value:
-            raise UserError(f"further options: {flag} has no place here; the page keeps the results")
+    for flag, default in (("out", parser().get_default("out")), ("open", False)):
+        if getattr(arguments, flag) != default:
+            raise UserError(f"further options: --{flag} has no place here; the page keeps the results")
     if arguments.inputs:
-        raise UserError(
-            f"further options: {arguments.inputs[0]!r} is no option; write KEY=VALUE or a flag such as --mask WHERE"
-        )
+        what = f"{arguments.inputs[0]!r} is not an option; write KEY=VALUE or a flag such as --mask WHERE"
+        raise UserError(f"further options: {what}")
     if foreign := [word for word in overrides if not is_override(word) or word.lstrip("+~").startswith("hydra")]:
-        raise UserError(f"further options: {foreign[0]} is for the command line alone")
+        raise UserError(f"further options: {foreign[0]} is for the command line only")
     return words
 
 

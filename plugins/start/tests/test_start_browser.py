@@ -32,8 +32,8 @@ def says(tab, text, seconds=120):
     wait(tab, f"document.body.innerText.includes({text!r})", seconds)
 
 
-def opened(tab, server, hash=""):
-    tab.goto(f"{server.url}{hash}")
+def opened(tab, server):
+    tab.goto(server.url)
     wait(tab, "!!document.querySelector('h1') && document.querySelector('h1').textContent !== ''")
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from scipy import special, stats
 
 from anystyle.errors import UserError
-from anystyle_study.checks import Checks, check
+from anystyle_study.checks import KINDS, Checks, check
 from anystyle_study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
 from anystyle_study.protocol import Rules, Study
 from anystyle_study.reading import Records
-from anystyle_study.statistics import Crossing, Effect, Variation, agreement, effects, holm, t_pvalue, variation
+from anystyle_study.statistics import Effect, Variation, agreement, crossed_mean, effects, holm, t_pvalue, variation
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,9 @@ def analyze(
     for responses in by_question:
         progress(responses.question)
         questions.append(_question(responses, tests, settings))
-    # Holm's adjustment of each test over the questions.
-    for index in range(len(questions[0].tests)):
-        adjusted = holm([question.tests[index].result.pvalue for question in questions])
-        for question, value in zip(questions, adjusted, strict=True):
-            question.tests[index].pvalue_holm = value
+    for same in zip(*(question.tests for question in questions), strict=True):
+        for one, adjusted in zip(same, holm([one.result.pvalue for one in same]), strict=True):
+            one.pvalue_holm = adjusted
     return Analysis(tuple(questions), checks, settings, records)
 
 
@@ -164,8 +162,7 @@ def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: An
 
 def _equivalence(responses: Responses, margin: float, confidence: float) -> Equivalence:
     points = margin * (responses.scale.high - responses.scale.midpoint)
-    crossed = Crossing(factors=responses.factors).mean(responses.deviations) if responses.factors else None
-    if crossed is None or crossed.error == 0:
+    if (crossed := crossed_mean(responses)) is None:
         return Equivalence(points, math.nan, False)
     low, high = crossed.interval(confidence)
     # The nearer margin decides: its statistic has the larger p-value.
@@ -175,13 +172,13 @@ def _equivalence(responses: Responses, margin: float, confidence: float) -> Equi
 
 def unit_means(responses: Responses, unit: Unit, confidence: float) -> tuple[Mean, ...]:
     """Means of all participants or items that have answers."""
-    codes, names = responses.participants, responses.participant_names
-    titles = names
-    if unit == "item":
-        codes, names, titles = responses.items, responses.item_names, responses.item_titles
+    codes, names, titles = responses.items, responses.item_names, responses.item_titles
+    if unit == "participant":
+        codes, names = responses.participants, responses.participant_names
+        titles, confidence = names, math.nan
     means = []
     for code in np.unique(codes).tolist():
-        mean, half_width = _mean(responses.deviations[codes == code], confidence if unit == "item" else math.nan)
+        mean, half_width = _mean(responses.deviations[codes == code], confidence)
         means.append(Mean(names[code], titles[code], mean, (mean - half_width, mean + half_width)))
     return tuple(means)
 
@@ -217,7 +214,6 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     """The content of ``analysis.json``; ``nan`` and infinities are ``None``."""
     checks, settings, study = analysis.checks, analysis.settings, analysis.settings.study
     counts = ("participants_read", "answers_read", "attention_answers", "answers_used")
-    kinds = ("missing", "duplicated", "out_of_range", "straight_lining", "failed_attention_check", "fast")
     content = {
         "schema": 2,
         "sign": "scores below the neutral answer and negative estimates mean that ours is preferred",
@@ -229,7 +225,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
         },
         "checks": {
             **{name: getattr(checks, name) for name in counts},
-            **{kind: checks.of_kind(kind) for kind in kinds},
+            **{kind: checks.of_kind(kind) for kind in KINDS},
             "excluded": checks.exclusions,
             "notes": checks.notes,
             "doubt": checks.doubt,
@@ -240,14 +236,15 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
 
 
 def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
-    responses, tests = question.responses, [_test_json(named) for named in question.tests]
+    responses, deviations = question.responses, question.responses.deviations
+    tests = [{"name": one.name, **asdict(one.result), "pvalue_holm": one.pvalue_holm} for one in question.tests]
     return {
         **{name: getattr(question, name) for name in ("title", "effects", "variation", "equivalence", "position")},
         "n_responses": responses.count,
         "n_participants": len(question.by_participant),
         "n_items": len(question.by_item),
-        "mean": responses.deviations.mean() + responses.scale.midpoint,
-        "sd": responses.deviations.std(ddof=1) if responses.count > 1 else math.nan,
+        "mean": deviations.mean() + responses.scale.midpoint,
+        "sd": deviations.std(ddof=1) if responses.count > 1 else math.nan,
         "distribution": {f"{level:g}": count for level, count in question.distribution.items()},
         "tests": tests,
         "primary": None if question.primary is None else tests[question.tests.index(question.primary)],
@@ -256,7 +253,3 @@ def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
         "participants": question.by_participant,
         "items": question.by_item,
     }
-
-
-def _test_json(named: NamedResult) -> dict[str, Any]:
-    return {"name": named.name, **asdict(named.result), "pvalue_holm": named.pvalue_holm}

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from anystyle.errors import UserError
 from anystyle_study.contract import Scale
 
-_MISSING = frozenset(
-    ("", "no answer", "na", "n/a", "n.a.", "<na>", "#n/a", "nan", "null", "#null!", "none", "nil", "missing")
-) | frozenset("-.?")
+_MISSING = {"na", "n/a", "n.a.", "<na>", "#n/a", "nan", "null", "#null!", "none", "nil", "missing", "no answer", ""}
+_MISSING |= {"-", ".", "?"}
 _GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")  # a thousand and some, or one and some thousandths
+_GROUPS = {".": r"(\d*|\d{1,3}(,\d{3})+)", ",": r"(\d*|\d{1,3}(\.\d{3})+)"}
 _NUMBER = {
-    mark: re.compile(
-        rf"[-+]?(?=[{mark}]?\d)(\d*|\d{{1,3}}([{other}]\d{{3}})+)([{mark}]\d*)?(e[-+]?\d+)?", re.IGNORECASE
-    )
-    for mark, other in (".,", ",.")
+    mark: re.compile(rf"[-+]?(?=[{mark}]?\d){groups}([{mark}]\d*)?(e[-+]?\d+)?", re.IGNORECASE)
+    for mark, groups in _GROUPS.items()
 }
 _WORDS = r"(?P<word>\D*[^\W\d_]\D*)"
 _NUMBERED = (
@@ -35,9 +33,8 @@ class AnswerColumn:
     @classmethod
     def of(cls, cells: Sequence[str], *, semicolons: bool = False) -> "AnswerColumn":
         """The column of these cells."""
-        marks = {
-            mark for cell in map(_joined, cells) for mark in [_mark(cell)] if mark and _NUMBER[mark].fullmatch(cell)
-        }
+        marked = [(_mark(cell), cell) for cell in map(_joined, cells)]
+        marks = {mark for mark, cell in marked if mark and _NUMBER[mark].fullmatch(cell)}
         return cls(marks.pop() if len(marks) == 1 else "", semicolons)
 
     def number(self, cell: str) -> float | None:
@@ -45,8 +42,7 @@ class AnswerColumn:
         text = _joined(cell)
         if plain(text) in _MISSING:
             return math.nan
-        comma = "," if self.semicolons else ""
-        mark = _mark(text) or self.mark or (comma if "," in text else ".")
+        mark = _mark(text) or self.mark or ("," * self.semicolons if "," in text else ".")
         if not (mark and _NUMBER[mark].fullmatch(text)):
             return None
         return float(text.replace("," if mark == "." else ".", "").replace(mark, "."))

@@ -14,6 +14,7 @@ from anystyle_study.contract import Responses, Scale
 from anystyle_study.protocol import Rules
 from anystyle_study.reading import Answer, Records
 
+KINDS = ("failed_attention_check", "fast", "duplicated", "out_of_range", "straight_lining", "missing")
 _MAX_OUTSIDE = 0.1  # fraction of a question's answers outside the scale; above it, the scale must be another one
 _MIN_STRAIGHT = 8  # equal answers that count as straight-lining
 _MIN_KEPT = 0.5  # fraction of the participants; with fewer left, there is no conclusion
@@ -21,9 +22,8 @@ _MIN_KEPT = 0.5  # fraction of the participants; with fewer left, there is no co
 
 @dataclass(frozen=True)
 class Finding:
-    """A problem."""
+    """A problem, of a kind in :data:`KINDS`."""
 
-    # ``missing``, ``duplicated``, ``out_of_range``, ``fast``, ``straight_lining`` or ``failed_attention_check``
     kind: str
     participant: str  # whose answers
     detail: str  # details for the reader
@@ -73,37 +73,33 @@ def check(
     given = [answer.is_check for answer in records.answers if not math.isnan(answer.score)]
     checks = Checks(len({answer.participant for answer in records.answers}), len(given), sum(given))
     main = [answer for answer in records.answers if not answer.is_check]
-    items = {person: {answer.item for answer in answers} for person, answers in _grouped(main, "participant").items()}
+    items = {person: {answer.item for answer in of} for person, of in _grouped(main, "participant").items()}
     main = _deduplicated(_in_range(main, by_question, checks), checks)
     _check_attention(attention, main, by_question, rules, checks)
-    people = _grouped(main, "participant")
-    for person, answers in people.items():
-        scores = [answer.score for answer in answers if not math.isnan(answer.score)]
-        if len(scores) >= _MIN_STRAIGHT and len(set(scores)) == 1:
-            detail = f"all {len(scores)} answers are {scores[0]:g}, whichever side ours was on"
-            checks.add("straight_lining", person, detail, "one answer throughout" if rules.straight_lining else "")
-    asked = Counter(question for question, _ in {(answer.question, answer.method): None for answer in main})
-    for person, answers in people.items():
+    asked = Counter(question for question, _ in {(answer.question, answer.method) for answer in main})
+    asked = {name: asked[name] for name in dict.fromkeys(answer.question for answer in main)}
+    for person, answers in _grouped(main, "participant").items():
+        given = [answer for answer in answers if not math.isnan(answer.score)]
+        scores = {answer.score for answer in given}
+        if len(given) >= _MIN_STRAIGHT and len(scores) == 1:
+            detail = f"all {len(given)} answers are {scores.pop():g}, whichever side ours was on"
+            checks.add("straight_lining", person, detail, "one answer throughout" * rules.straight_lining)
         # Without a design, only sets with a row count as assigned.
-        sets = records.assigned.get(person, len(items[person]))
-        answered = Counter(answer.question for answer in answers if not math.isnan(answer.score))
+        sets, answered = records.assigned.get(person, len(items[person])), Counter(one.question for one in given)
         lacking = {question: sets * count - answered[question] for question, count in asked.items()}
-        lacking = {question: count for question, count in lacking.items() if count > 0}
-        if lacking:
+        if lacking := {question: count for question, count in lacking.items() if count > 0}:
             checks.missing[person] = lacking
-            missing, expected = sum(lacking.values()), sets * asked.total()
+            missing, expected = sum(lacking.values()), sets * sum(asked.values())
             rule = f"more than {rules.missing_share:.0%} of the assigned answers missing"
-            excludes = missing > rules.missing_share * expected
             listed = ", ".join(f"{question} {count}" for question, count in lacking.items())
             detail = f"{missing} of {expected} answers ({listed})"
-            checks.add("missing", person, detail, rule if excludes else "")
+            checks.add("missing", person, detail, rule * (missing > rules.missing_share * expected))
         # A set takes as long as the slowest of its answers.
         timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
-        fast = sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed)
-        if fast:
+        if fast := sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed):
             rule = f"more than {rules.fast_share:.0%} of the sets answered too fast"
             detail = f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s"
-            checks.add("fast", person, detail, rule if fast > rules.fast_share * len(timed) else "")
+            checks.add("fast", person, detail, rule * (fast > rules.fast_share * len(timed)))
     excluded = {exclusion.participant for exclusion in checks.exclusions}
     remaining = [answer for answer in main if not math.isnan(answer.score) and answer.participant not in excluded]
     responses = tuple(part for part in split(remaining, by_question) if part.count)
@@ -179,11 +175,9 @@ def _check_attention(
     def failed(answer: Answer) -> bool:
         if not answer.check:
             return answer.score != answer.expected
-        if answer.method:
-            return False
         again = np.sign(_undone(answer, scales))
-        if answer.check == "degraded":
-            return not again < 0
+        if answer.method or answer.check == "degraded":
+            return not answer.method and not again < 0
         before = first.get((answer.participant, answer.of, answer.question))
         return before is not None and bool(np.sign(_undone(before, scales)) * again < 0)
 
@@ -210,18 +204,18 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
                 f"scale is {scale.low:g} to {scale.high:g}; do not mix scales, or give the right one with --scale"
             )
     for answer in filter(outside, answers):
-        detail = f"{answer.item}, {answer.question}: {answer.score:g}, left out"
-        checks.add("out_of_range", answer.participant, detail)
+        checks.add("out_of_range", answer.participant, f"{answer.item}, {answer.question}: {answer.score:g}, left out")
     return [answer for answer in answers if not outside(answer)]
 
 
 def _deduplicated(answers: Sequence[Answer], checks: Checks) -> list[Answer]:
     """Keep the first of several answers to the same question of the same set."""
     cells = _grouped(answers, "participant", "item", "question", "comparison", "method").values()
-    for first, *others in cells:
-        if others:
-            scores = ", ".join(f"{answer.score:g}" for answer in (first, *others))
-            checks.add("duplicated", first.participant, f"{first.item}, {first.question}: {scores}; the first is used")
+    for same in cells:
+        if len(same) > 1:
+            scores = ", ".join(f"{answer.score:g}" for answer in same)
+            detail = f"{same[0].item}, {same[0].question}: {scores}; the first is used"
+            checks.add("duplicated", same[0].participant, detail)
     return [same[0] for same in cells]
 
 

@@ -6,7 +6,6 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ from anystyle_study.store import Store
 
 
 def read_plan(overrides: Sequence[str]) -> Plan:
-    """The plan that ``study=NAME`` or ``study=FILE`` names (default: ``paper``), changed by ``key=value`` words."""
+    """The plan that ``study=NAME`` or ``study=FILE`` names (default: ``paper``), changed by ``key=value`` arguments."""
     names = [word for word in overrides if word.startswith("study=")]
     config = names[-1].removeprefix("study=") if names else "paper"
     overrides = [word for word in overrides if word not in names]
@@ -49,15 +48,14 @@ def read_plan(overrides: Sequence[str]) -> Plan:
     options: dict[str, Any] = read_yaml(file, dict[str, Any], what="configuration of 'option: value' lines")
     try:
         merged = OmegaConf.merge(options, OmegaConf.from_dotlist(overrides))
-        values: Any = OmegaConf.to_container(merged, resolve=False)
+        return plan_from(OmegaConf.to_container(merged, resolve=False))
     except (OmegaConfBaseException, YAMLError) as error:
         raise UserError(f"{' '.join(overrides)}: {explain(error)}") from None
-    return plan_from(values)
 
 
 def build_tests(names: Sequence[str], overrides: Sequence[str], common: Mapping[str, Any]) -> dict[str, StudyTest]:
     """Build the named tests, all if none is named; ``common`` options are for every test that has them."""
-    chosen = list(dict.fromkeys(names)) or catalog().names("study_test")
+    chosen = dict.fromkeys(names or catalog().names("study_test"))
     options: dict[str, dict[str, Any]] = {name: {} for name in chosen}
     for word in overrides:
         key, equals, value = word.partition("=")
@@ -66,28 +64,27 @@ def build_tests(names: Sequence[str], overrides: Sequence[str], common: Mapping[
             raise UserError(f"{word!r} sets no option; expected TEST.OPTION=VALUE, such as wilcoxon.zero_method=pratt")
         if test not in options:
             raise UserError(unknown("test that is run", test, options))
-        parsed: Any = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={value}"]))
-        options[test][option] = parsed["value"]
+        options[test][option] = OmegaConf.from_dotlist([f"value={value}"]).value
     tests: dict[str, StudyTest] = {}
-    for name in chosen:
+    for name, given in options.items():
         plugin = catalog().find("study_test", name)
         known = inspect.signature(plugin.load()).parameters
         shared = {option: value for option, value in common.items() if option in known}
-        tests[name] = build(StudyTest, {"_target_": plugin.path, **shared, **options[name]})
+        tests[name] = build(StudyTest, {"_target_": plugin.path, **shared, **given})
     return tests
 
 
 def design_parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle study design``."""
-    words = new_parser(
+    flags = new_parser(
         "study design",
         "Draw a study from two or more methods' results, laid out as SCENE/STYLE.png or SCENE/STYLE/*.png: sets "
         "balanced over scenes and styles, positions balanced over participants and sets, orders from Latin squares, "
         "attention checks. Writes study.json, pictures and a report on the balance.",
-        epilog="study=paper (the default), study=pilot, study=online or study=FILE.yaml names a plan; words such as "
-        "participants=20 change it; anystyle study design --show prints it.",
+        epilog="study=paper (the default), study=pilot, study=online or study=FILE.yaml names a plan; arguments such "
+        "as participants=20 change it; anystyle study design --show prints it.",
     )
-    add = words.add_argument
+    add = flags.add_argument
     add("options", nargs="*", metavar="OPTION=VALUE", help="changes to the plan")
     add("--method", action="append", default=[], metavar="NAME=FOLDER", help="results; at least twice")
     add("--ours", metavar="NAME", help="the method that the study is about (default: the first)")
@@ -95,14 +92,13 @@ def design_parser() -> argparse.ArgumentParser:
     add("--contents", type=Path, metavar="FOLDER", help="SCENE.jpg or SCENE/*.jpg: the photographs")
     add("--out", type=Path, default=Path("study"), help="folder for the study (default: %(default)s)")
     add("--show", action="store_true", help="print the plan and stop")
-    return words
+    return flags
 
 
 def design_command(arguments: argparse.Namespace) -> None:
     """Run ``anystyle study design``."""
-    for word in arguments.options:
-        if "=" not in word:
-            raise UserError(f"{word!r} is not an OPTION=VALUE; folders are given with --method NAME=FOLDER")
+    if folders := [word for word in arguments.options if "=" not in word]:
+        raise UserError(f"{folders[0]!r} is not an OPTION=VALUE; folders are given with --method NAME=FOLDER")
     plan = read_plan(arguments.options)
     if arguments.show:
         print(OmegaConf.to_yaml(OmegaConf.create(msgspec.to_builtins(plan))), end="")
@@ -116,24 +112,23 @@ def design_command(arguments: argparse.Namespace) -> None:
         if not (name and folder) or name in methods:
             raise UserError(f"--method {word}: expected NAME=FOLDER, each name once, such as ours=results/ours")
         methods[name] = Path(folder)
-    ours = arguments.ours or next(iter(methods), "")
-    sources = Sources(methods=methods, ours=ours, styles=arguments.styles, contents=arguments.contents)
-    study = design(sources, plan, arguments.out)
+    ours, out = arguments.ours or next(iter(methods), ""), arguments.out
+    study = design(Sources(methods, ours, arguments.styles, arguments.contents), plan, out)
     print(
         f"{len(study.items)} sets of {study.ours} against {', '.join(study.baselines)} for {len(study.participants)} "
-        f"participants: {arguments.out}/study.json, balance.md, pictures/"
+        f"participants: {out}/study.json, balance.md, pictures/\n"
+        f"next: anystyle study form {out} --out form.html, or --serve"
     )
-    print(f"next: anystyle study form {arguments.out} --out form.html, or --serve")
 
 
 def form_parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle study form``."""
-    words = new_parser(
+    flags = new_parser(
         "study form",
         "Write the study as one page that works offline, keeps answers in the browser and saves them as JSON at the "
         "end; or serve it, with every answer stored before the next.",
     )
-    add = words.add_argument
+    add = flags.add_argument
     add("study", type=Path, help="the folder that `anystyle study design` made")
     add("--out", type=Path, help="the page to write (default: form.html in the study's folder)")
     add("--serve", action="store_true", help="serve the page instead, until interrupted")
@@ -141,7 +136,7 @@ def form_parser() -> argparse.ArgumentParser:
     add("--port", type=int, default=8765, help="port to serve at; 0 takes a free one")
     add("--database", type=Path, help="answers when serving (default: answers.sqlite in the folder)")
     add("--release", metavar="ID", help="let this code or id go on in another browser, and stop")
-    return words
+    return flags
 
 
 def form_command(arguments: argparse.Namespace) -> None:
@@ -150,6 +145,7 @@ def form_command(arguments: argparse.Namespace) -> None:
     folder = arguments.study if arguments.study.is_dir() else arguments.study.parent
     database = arguments.database or folder / "answers.sqlite"
     first, last = study.participants[0].id, study.participants[-1].id
+    analyze = "next: anystyle study analyze"
     if arguments.release:
         if not database.is_file():
             raise UserError(f"there are no answers at {database}; name the file with --database")
@@ -159,42 +155,39 @@ def form_command(arguments: argparse.Namespace) -> None:
     elif arguments.serve:
         if not 0 <= arguments.port <= 65535:
             raise UserError(f"--port {arguments.port}: expected 0 to 65535")
+        names = study.plan.id_parameters
+        query = f"{names[0]}=ID" if names else f"p={first} (codes {first} to {last})"
 
         def ready(url: str) -> None:
-            names = study.plan.id_parameters
-            query = f"{names[0]}=ID" if names else f"p={first} (codes {first} to {last})"
             print(f"serving at {url}?{query}; answers go to {database}", flush=True)
 
         serve(study, folder, database, host=arguments.host, port=arguments.port, ready=ready)
-        print(f"next: anystyle study analyze {database} --study {arguments.study} --out analysis")
+        print(f"{analyze} {database} --study {arguments.study} --out analysis")
     else:
         out = arguments.out or folder / "form.html"
         write_page(study, folder, out)
         size = out.stat().st_size / 1e6
         print(f"{out}: {size:.1f} MB; participants open it and enter their code, or use {out.name}#{first}")
-        print(f"next: anystyle study analyze ANSWERS... --study {arguments.study} --out analysis")
+        print(f"{analyze} ANSWERS... --study {arguments.study} --out analysis")
 
 
 def analyze_parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle study analyze``."""
-    words = new_parser(
+    flags = new_parser(
         "study analyze",
         "Read answers (CSV, JSON or SQLite, one per row), undo the positions, exclude participants by the design's "
         "rules and test every question. Writes analysis.json, results.md, results.tex, report.html and figures/.",
-        epilog="Words such as wilcoxon.zero_method=pratt set a test's options; anystyle plugins study_test lists them.",
+        epilog="Arguments such as wilcoxon.zero_method=pratt set a test's options; see anystyle plugins study_test.",
     )
-    add = words.add_argument
+    add = flags.add_argument
     add("responses", nargs="+", help="files of answers, or folders of them; and TEST.OPTION=VALUE")
     add("--out", type=Path, required=True, help="folder for the results")
     add("--study", type=Path, help="the designed study, which the form's answers need")
     add("--scale", type=float, nargs=2, metavar=("LOW", "HIGH"), help="answer scale (default: 1 5)")
-    words_of = "the scale's words from its lowest to its highest answer, or WORD=SCORE; WORD=NA for a missing answer"
-    add("--labels", action="append", nargs="+", default=[], metavar="WORD", help=words_of)
-    add(
-        "--wide",
-        action="store_true",
-        help="tables may have one row per person, with columns such as S1:style, S1:ours_is",
-    )
+    labels = "the scale's words from its lowest to its highest answer, or WORD=SCORE; WORD=NA for a missing answer"
+    add("--labels", action="append", nargs="+", default=[], metavar="WORD", help=labels)
+    wide = "tables may have one row per person, with columns such as S1:style, S1:ours_is"
+    add("--wide", action="store_true", help=wide)
     key = "table of column, item, question, ours_is (or method): what the columns of a --wide table are about"
     add("--columns", type=Path, metavar="FILE", help=key)
     add("--test", action="append", default=[], metavar="NAME", help="run only these tests")
@@ -210,7 +203,7 @@ def analyze_parser() -> argparse.ArgumentParser:
     missing = "fraction of missing answers above which a participant is excluded (default: the design's)"
     add("--missing", type=float, metavar="FRACTION", help=missing)
     add("--no-report", action="store_true", help="neither plots nor page; does not need matplotlib")
-    return words
+    return flags
 
 
 def analyze_command(arguments: argparse.Namespace) -> None:
@@ -238,8 +231,7 @@ def analyze_command(arguments: argparse.Namespace) -> None:
     overrides = [word for word in arguments.responses if word not in files]
     common = {name: getattr(settings, name) for name in ("confidence", "alternative", "seed")}
     tests = build_tests(arguments.test, overrides, common)
-    paths = [Path(word) for word in files]
-    records = read_responses(paths, study, labels=labels, wide=arguments.wide, columns=arguments.columns)
+    records = read_responses(map(Path, files), study, labels=labels, wide=arguments.wide, columns=arguments.columns)
     analysis = analyze(records, tests, settings, lambda name: print(f"testing {name} …", file=sys.stderr, flush=True))
     with atomic_directory(arguments.out) as folder:
         _write(analysis, folder, arguments)
@@ -248,7 +240,7 @@ def analyze_command(arguments: argparse.Namespace) -> None:
         print(f"{question.question}: {wording.verdict(analysis, question)}")
     for item in analysis.checks.exclusions:
         print(f"excluded: {item.participant} ({item.rule})")
-    print(f"{arguments.out / ('analysis.json' if arguments.no_report else 'report.html')}")
+    print(arguments.out / ("analysis.json" if arguments.no_report else "report.html"))
 
 
 def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> None:
@@ -259,14 +251,11 @@ def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> N
     }
     if not arguments.no_report:
         study: Path | None = arguments.study
-        texts["report.html"] = report.html(
-            analysis, arguments.title, study if study is None or study.is_dir() else study.parent
-        )
+        pictures = study if study is None or study.is_dir() else study.parent
+        texts["report.html"] = report.html(analysis, arguments.title, pictures)
         (folder / "figures").mkdir()
-        for draw in (figures.likert, figures.means, figures.positions):
-            figure = draw(analysis)
-            for suffix in ("pdf", "svg"):
-                figures.save(figure, folder / "figures" / f"{draw.__name__}.{suffix}")
+        for draw in (figures.likert, figures.means):
+            figures.save(draw(analysis), folder / "figures" / draw.__name__)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
 
@@ -287,28 +276,28 @@ _SCENARIO = {
 
 def power_parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle study power``."""
-    words = new_parser(
+    flags = new_parser(
         "study power",
         "Simulate studies in which participants, sets, scenes and styles differ: power and false-positive rate of each "
         "test, and the number of participants it needs. The defaults are the paper's design.",
     )
-    add = words.add_argument
+    default = "(default: %(default)s)"
+    add = flags.add_argument
     add("options", nargs="*", metavar="TEST.OPTION=VALUE", help="options of the tests")
-    numbers = [6, 10, 20, 40, 80]
-    add("--participants", type=int, nargs="+", default=numbers, help="numbers to try (default: %(default)s)")
+    add("--participants", type=int, nargs="+", default=[6, 10, 20, 40, 80], help=f"numbers to try {default}")
     for name, text in _SCENARIO.items():
-        default = getattr(Scenario(), name)
-        add(f"--{name.replace('_', '-')}", type=type(default), default=default, help=f"{text} (default: %(default)s)")
-    add("--effect", type=float, default=-0.3, help="preference in points (default: %(default)s)")
-    alternative = "of the tests; less claims that ours is preferred (default: %(default)s)"
+        value = getattr(Scenario(), name)
+        add(f"--{name.replace('_', '-')}", type=type(value), default=value, help=f"{text} {default}")
+    add("--effect", type=float, default=-0.3, help=f"preference in points {default}")
+    alternative = f"of the tests; less claims that ours is preferred {default}"
     add("--alternative", choices=("two-sided", "less", "greater"), default="two-sided", help=alternative)
-    add("--studies", type=int, default=1000, help="simulated studies of each kind (default: %(default)s)")
-    add("--level", type=float, default=0.05, help="significance level (default: %(default)s)")
-    add("--target", type=float, default=0.8, help="power to reach (default: %(default)s)")
-    add("--seed", type=int, default=0, help="seed of the simulation (default: %(default)s)")
+    add("--studies", type=int, default=1000, help=f"simulated studies of each kind {default}")
+    add("--level", type=float, default=0.05, help=f"significance level {default}")
+    add("--target", type=float, default=0.8, help=f"power to reach {default}")
+    add("--seed", type=int, default=0, help=f"seed of the simulation {default}")
     add("--test", action="append", default=[], metavar="NAME", help="run only these tests")
     add("--out", type=Path, help="a folder for power.json, power.md and power.pdf/.svg")
-    return words
+    return flags
 
 
 def power_command(arguments: argparse.Namespace) -> None:
@@ -317,12 +306,10 @@ def power_command(arguments: argparse.Namespace) -> None:
         figures.require_matplotlib()
     common = {"alternative": arguments.alternative, "seed": arguments.seed}
     tests = build_tests(arguments.test or _POWER_TESTS, arguments.options, common)
-    given: dict[str, Any] = vars(arguments) | {"participants": max(arguments.participants, default=1)}
     study = power_study(
-        Scenario(**{field.name: given[field.name] for field in fields(Scenario) if field.name in given}),
+        Scenario(effect=arguments.effect, **{name: getattr(arguments, name) for name in _SCENARIO}),
         tests,
-        participants=arguments.participants,
-        **{name: given[name] for name in ("studies", "seed", "level", "target")},
+        **{name: getattr(arguments, name) for name in ("participants", "studies", "seed", "level", "target")},
         progress=lambda text: print(f"{text} …", file=sys.stderr, flush=True),
     )
     table = power_table(study).markdown()
@@ -332,8 +319,7 @@ def power_command(arguments: argparse.Namespace) -> None:
     with atomic_directory(arguments.out) as folder:
         (folder / "power.json").write_text(json.dumps(power_json(study), indent=1) + "\n", encoding="utf-8")
         (folder / "power.md").write_text(table, encoding="utf-8")
-        for suffix in ("pdf", "svg"):
-            figures.save(figures.power(study), folder / f"power.{suffix}")
+        figures.save(figures.power(study), folder / "power")
     print(arguments.out / "power.svg")
 
 

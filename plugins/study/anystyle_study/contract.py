@@ -52,35 +52,20 @@ class Scale:
 
 @dataclass(frozen=True)
 class Responses:
-    """The answers to one question, one row an observation.
+    """The answers to one question, one row per observation."""
 
-    Args:
-        question: Its name.
-        deviations: Score minus the neutral answer, positions undone; negative prefers ours.
-        participants: Index into ``participant_names``; -1 after averaging over participants.
-        items: Index into ``item_names``; -1 after averaging over items.
-        participant_names: Names of all participants.
-        item_names: Names of all items (sets).
-        ours_is_a: Whether ours was shown as A; ``None`` after averaging.
-        scale: The answer scale.
-        item_scenes: The scene of each item; empty if unknown.
-        item_styles: The style of each item; empty if unknown.
-        ratings: Mean ratings of ours and of theirs, if the deviations are differences of ratings.
-        unit: What one row is.
-    """
-
-    question: str
-    deviations: Float[np.ndarray, " N"]
-    participants: Int[np.ndarray, " N"]
-    items: Int[np.ndarray, " N"]
-    participant_names: tuple[str, ...]
-    item_names: tuple[str, ...]
-    ours_is_a: Bool[np.ndarray, " N"] | None = None
-    scale: Scale = Scale()
-    item_scenes: tuple[str, ...] = ()
-    item_styles: tuple[str, ...] = ()
-    ratings: tuple[float, float] | None = None
-    unit: Unit = "response"
+    question: str  # its name
+    deviations: Float[np.ndarray, " N"]  # score minus the neutral answer, positions undone; negative prefers ours
+    participants: Int[np.ndarray, " N"]  # index into ``participant_names``; -1 after averaging over participants
+    items: Int[np.ndarray, " N"]  # index into ``item_names``; -1 after averaging over items
+    participant_names: tuple[str, ...]  # of all participants
+    item_names: tuple[str, ...]  # of all items (sets)
+    ours_is_a: Bool[np.ndarray, " N"] | None = None  # whether ours was shown as A; ``None`` after averaging
+    scale: Scale = Scale()  # the answer scale
+    item_scenes: tuple[str, ...] = ()  # the scene of each item; empty if unknown
+    item_styles: tuple[str, ...] = ()  # the style of each item; empty if unknown
+    ratings: tuple[float, float] | None = None  # means of ours and theirs, if deviations are differences of ratings
+    unit: Unit = "response"  # what one row is
 
     @property
     def count(self) -> int:
@@ -92,7 +77,7 @@ class Responses:
         """Display names of the items: scene and style where both are known."""
         if not (self.item_scenes and self.item_styles):
             return self.item_names
-        return tuple(f"{scene}, {style}" for scene, style in zip(self.item_scenes, self.item_styles, strict=True))
+        return tuple(map(", ".join, zip(self.item_scenes, self.item_styles, strict=True)))
 
     @property
     def factors(self) -> dict[Population, Int[np.ndarray, " N"]]:
@@ -100,23 +85,18 @@ class Responses:
 
         Scenes and styles count as random from :data:`MIN_LEVELS` levels, unless every item has a level of its own.
         """
-        shared = self._shared
-        codes: dict[Population, np.ndarray] = {"participants": self.participants, "items": self.items}
-        codes |= {factor: np.array(names)[self.items] for factor, names in shared.items()}
-        levels: dict[Population, np.ndarray] = {
-            factor: np.unique(of, return_inverse=True)[1] for factor, of in codes.items()
-        }
+        codes = {"participants": self.participants, "items": self.items} | self._shared
+        levels = {factor: np.unique(of, return_inverse=True)[1] for factor, of in codes.items()}
         num = {factor: level.max(initial=0) for factor, level in levels.items()}
-        own = [factor for factor in shared if num[factor] == num["items"]]
+        own = [factor for factor in self._shared if num[factor] == num["items"]]
         return {factor: level for factor, level in levels.items() if num[factor] and factor not in own}
 
     @property
-    def _shared(self) -> dict[Population, tuple[str, ...]]:
-        """Scene and style name of each item, where enough of them were judged to count as random."""
-        named: dict[Population, tuple[str, ...]] = {"scenes": self.item_scenes, "styles": self.item_styles}
-        judged = np.unique(self.items).tolist()
-        num = {factor: len({names[item] for item in judged}) if names else 0 for factor, names in named.items()}
-        return {factor: names for factor, names in named.items() if num[factor] >= MIN_LEVELS}
+    def _shared(self) -> dict[Population, np.ndarray]:
+        """Scene and style of every answer, where enough of them were judged to count as random."""
+        names: dict[Population, tuple[str, ...]] = {"scenes": self.item_scenes, "styles": self.item_styles}
+        judged = {factor: np.array(of)[self.items] for factor, of in names.items() if of}
+        return {factor: of for factor, of in judged.items() if len(np.unique(of)) >= MIN_LEVELS}
 
     @property
     def populations(self) -> tuple[Population, ...]:
@@ -131,61 +111,37 @@ class Responses:
         if unit == self.unit:
             return self
         if self.unit != "response":
-            raise ValueError(f"rows are one a {self.unit} already; average the responses by {unit} instead")
+            raise ValueError(f"rows are one per {self.unit} already; average the responses by {unit} instead")
         by_person = unit == "participant"
         codes = self.participants if by_person else self.items
         present, code, counts = np.unique(codes, return_inverse=True, return_counts=True)
         means = np.bincount(code, weights=self.deviations) / counts
         absent = np.full(len(present), -1)
-        return replace(
-            self,
-            deviations=means,
-            participants=present if by_person else absent,
-            items=absent if by_person else present,
-            ours_is_a=None,
-            unit=unit,
-        )
+        people, items = (present, absent) if by_person else (absent, present)
+        return replace(self, deviations=means, participants=people, items=items, ours_is_a=None, unit=unit)
 
 
 @dataclass(frozen=True)
 class TestResult:
-    """Result of one test.
-
-    Args:
-        unit: What was counted as one observation.
-        statistic: The test statistic; ``nan`` if the test is undefined.
-        pvalue: The p-value; 0 where it is below the smallest double, ``nan`` if the test is undefined.
-        alternative: The alternative hypothesis.
-        estimate: The preference, in ``estimate_unit``; negative means ours is preferred.
-        interval: Confidence interval of the estimate, one-sided if ``alternative`` is; ``nan`` if there is none.
-        n: Number of observations.
-        effect: A standardised effect, signed like the estimate unless it is a probability.
-        effect_name: Such as ``cohens_d``.
-        effect_interval: Confidence interval of the effect.
-        confidence: Level of both intervals.
-        method: One line that says exactly what was computed.
-        note: A caveat for the reader; empty if there is none.
-        generalizes_to: Populations that the p-value generalises to.
-        estimate_unit: ``points`` of the answer scale, or another unit.
-    """
+    """Result of one test."""
 
     __test__: ClassVar[bool] = False  # pytest would collect the name
 
-    unit: Unit
-    statistic: float
-    pvalue: float
-    alternative: str
-    estimate: float
-    interval: tuple[float, float]
-    n: int
-    effect: float = math.nan
-    effect_name: str = ""
-    effect_interval: tuple[float, float] = (math.nan, math.nan)
-    confidence: float = 0.95
-    method: str = ""
-    note: str = ""
-    generalizes_to: tuple[Population, ...] = ()
-    estimate_unit: str = "points"
+    unit: Unit  # what was counted as one observation
+    statistic: float  # the test statistic; ``nan`` if the test is undefined
+    pvalue: float  # 0 where it is below the smallest double, ``nan`` if the test is undefined
+    alternative: str  # the alternative hypothesis
+    estimate: float  # the preference, in ``estimate_unit``; negative means ours is preferred
+    interval: tuple[float, float]  # of the estimate, one-sided if ``alternative`` is; ``nan`` if there is none
+    n: int  # number of observations
+    effect: float = math.nan  # a standardised effect, signed like the estimate unless it is a probability
+    effect_name: str = ""  # such as ``cohens_d``
+    effect_interval: tuple[float, float] = (math.nan, math.nan)  # confidence interval of the effect
+    confidence: float = 0.95  # level of both intervals
+    method: str = ""  # one line that says exactly what was computed
+    note: str = ""  # a caveat for the reader; empty if there is none
+    generalizes_to: tuple[Population, ...] = ()  # populations that the p-value generalises to
+    estimate_unit: str = "points"  # ``points`` of the answer scale, or another unit
 
     @classmethod
     def untestable(cls, responses: Responses, *, reason: str, alternative: str, method: str = "") -> "TestResult":

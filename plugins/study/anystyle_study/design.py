@@ -82,20 +82,20 @@ def _usable(
     results: Mapping[str, pictures.ResultPaths], styles: Mapping[str, Path], contents: Mapping[str, list[Path]]
 ) -> tuple[set[tuple[str, str]], list[str]]:
     """The scenes and styles that all folders have, and why others are left out."""
-    usable, left_out = set(), []
-    for scene, style in sorted({pair for frames in results.values() for pair in frames}):
+    left_out = {}
+    pairs = {pair for frames in results.values() for pair in frames}
+    for scene, style in sorted(pairs):
         lacking = [name for name, frames in results.items() if (scene, style) not in frames]
         lacking += ["the photographs"] * (scene not in contents) + ["the styles"] * (style not in styles)
         if lacking:
-            left_out.append(f"{scene} / {style}: not among {', '.join(lacking)}")
-        else:
-            usable.add((scene, style))
-    if not usable:
+            left_out[scene, style] = f"{scene} / {style}: not among {', '.join(lacking)}"
+    reasons = list(left_out.values())
+    if len(left_out) == len(pairs):
         raise UserError(
             f"no scene and style have results of all of {', '.join(results)} and are among the photographs and styles; "
-            f"names must match, and found were {'; '.join(left_out[:3])}"
+            f"names must match, and found were {'; '.join(reasons[:3])}"
         )
-    return usable, left_out
+    return pairs - left_out.keys(), reasons
 
 
 class _Writer:
@@ -205,26 +205,25 @@ def balance(study: Study) -> dict[str, tuple[int, int]]:
         times = Counter(getattr(item, name) for item in items)
         return [times[value] for value in {getattr(item, name) for item in study.items}]
 
+    attributes = ("scene", "style")
     counts = {
-        **{f"sets per {name}": count(study.items, name) for name in ("scene", "style", "baseline")},
+        **{f"sets per {name}": count(study.items, name) for name in (*attributes, "baseline")},
         "participants per set": [seen[entry] for entry in sets],
         "ours is A per participant": [len(person.ours_is_a & sets.keys()) for person in study.participants],
         "ours is A per set": [ours_is_a[entry] for entry in sets],
-        **{
-            f"a {name} per participant": [n for order in orders for n in count([sets[one] for one in order], name)]
-            for name in ("scene", "style")
-        },
         "times each set has a rank": [ranks[entry, rank] for entry in sets for rank in range(study.plan.sets)],
         "times each set follows another": [following[a, b] for a in sets for b in sets if a != b],
     }
+    judged = [[sets[entry] for entry in order] for order in orders]
+    counts |= {f"a {name} per participant": [n for of in judged for n in count(of, name)] for name in attributes}
     return {name: (min(values), max(values)) for name, values in counts.items()}
 
 
 def balance_text(study: Study, notes: Sequence[str]) -> str:
     """The balance, and what was left out or cropped, as Markdown."""
     rows = tuple((name, str(least), str(most)) for name, (least, most) in balance(study).items())
-    parts = [f"# Balance\n\n{len(study.participants)} participants, {len(study.items)} sets.\n"]
-    parts.append(Table(("count", "minimum", "maximum"), rows).markdown())
+    table = Table(("count", "minimum", "maximum"), rows).markdown()
+    parts = [f"# Balance\n\n{len(study.participants)} participants, {len(study.items)} sets.\n", table]
     if notes:
         parts += ["## Left out or cropped\n", *(f"- {escape_markdown(note)}" for note in notes)]
     return "\n".join(parts).rstrip() + "\n"

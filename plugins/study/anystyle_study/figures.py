@@ -14,7 +14,6 @@ import numpy as np
 
 from anystyle_study.analysis import Analysis, Mean, QuestionAnalysis
 from anystyle_study.power import PowerStudy, Rate
-from anystyle_study.wording import p_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,12 +54,12 @@ def _figure(width: float, height: float) -> "Figure":
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format of the suffix, reproducible to the byte."""
-    stamp = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
-    drawn = io.BytesIO()  # matplotlib does not report a full disk plainly
-    with _style(path.stem):
-        figure.savefig(drawn, format=path.suffix[1:], metadata=stamp, dpi=200)
-    path.write_bytes(drawn.getvalue())
+    """Write a plot as ``PATH.pdf`` and ``PATH.svg``, reproducible to the byte."""
+    for suffix, stamp in (("pdf", "CreationDate"), ("svg", "Date")):
+        drawn = io.BytesIO()  # matplotlib does not report a full disk plainly
+        with _style(path.name):
+            figure.savefig(drawn, format=suffix, metadata={stamp: None}, dpi=200)
+        path.with_suffix(f".{suffix}").write_bytes(drawn.getvalue())
 
 
 def as_svg(figure: "Figure", name: str) -> str:
@@ -73,15 +72,6 @@ def as_svg(figure: "Figure", name: str) -> str:
 
 def _wrapped(text: str, width: int = 26) -> str:
     return "\n".join(textwrap.wrap(text, width)[:3])
-
-
-def _label_rows(axes: "Axes", titles: Sequence[str]) -> None:
-    """A row for each title, from the top."""
-    axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
-    axes.set_ylim(len(titles) - 0.5, -0.5)
-    axes.set_yticks(range(len(titles)), [_wrapped(title) for title in titles])
-    axes.tick_params(axis="y", length=0, labelsize=8)
-    axes.spines["left"].set_visible(False)
 
 
 def _level_color(level: float) -> Any:
@@ -100,7 +90,11 @@ def likert(analysis: Analysis) -> "Figure":
         figure = _figure(7.0, 1.15 + 0.5 * len(analysis.questions))
         axes = figure.add_subplot()
         bars = [_likert_row(axes, row, question) for row, question in enumerate(analysis.questions)]
-        _label_rows(axes, [question.title for question in analysis.questions])
+        axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
+        axes.set_ylim(len(bars) - 0.5, -0.5)
+        axes.set_yticks(range(len(bars)), [_wrapped(question.title) for question in analysis.questions])
+        axes.tick_params(axis="y", length=0, labelsize=8)
+        axes.spines["left"].set_visible(False)
         extent = 1.02 * max(extent for _, extent in bars)
         axes.set_xlim(-extent, extent)
         axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):.0%}")
@@ -173,34 +167,6 @@ def _caterpillar(axes: "Axes", side: Sequence[Mean], question: QuestionAnalysis,
     axes.spines["left"].set_visible(False)
 
 
-def positions(analysis: Analysis) -> "Figure":
-    """Mean answers where ours was shown as A and as B, and the position bias."""
-    with _style("positions"):
-        shown = [
-            (question.title, question.position) for question in analysis.questions if question.position is not None
-        ]
-        figure = _figure(7.0, 0.9 + 0.62 * max(len(shown), 1))
-        axes = figure.add_subplot()
-        _label_rows(axes, [title for title, _ in shown])
-        centers = np.array([(one.mean_when_ours_is_a, one.mean_when_ours_is_b) for _, one in shown]).reshape(-1, 2)
-        errors = np.nan_to_num(np.array([one.half_widths for _, one in shown]).reshape(-1, 2))
-        limit = 1.08 * (np.abs(centers) + errors).max(initial=0.5)
-        axes.set_xlim(-limit, limit)
-        for label, color, offset, marker, side in (("A", OURS, -0.14, "o", 0), ("B", "#7a5195", 0.14, "s", 1)):
-            rows = np.arange(len(shown)) + offset
-            look: dict[str, Any] = {"color": color, "markersize": 4.5, "linewidth": 1.1, "fmt": marker}
-            axes.errorbar(centers[:, side], rows, xerr=errors[:, side], label=f"ours shown as {label}", **look)
-        for row, (_, position) in enumerate(shown):
-            bias, pvalue = f"{position.bias:+.2f}".replace("-", "−"), p_text(position.pvalue)
-            where: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "xytext": (4, 0)}
-            where |= {"textcoords": "offset points", "va": "center", "fontsize": 7, "color": _SOFT}
-            axes.annotate(f"position bias: {bias}, p {pvalue}", (1, row), **where)
-        axes.set_xlabel(_AXIS)
-        if shown:
-            figure.legend(loc="outside upper center", ncols=2, frameon=False, fontsize=7.5)
-        return figure
-
-
 def power(study: PowerStudy) -> "Figure":
     """False-positive rate (left) and power (right) over the number of participants."""
     with _style("power"):
@@ -209,17 +175,16 @@ def power(study: PowerStudy) -> "Figure":
         palette = cycle(_PALETTE)
         for rates in study.by_test.values():
             color = next(palette) if rates[0].generalizes_to else "#9aa0a6"
-            _curve(left, rates, "false_positive_rate", "false_positive_interval", color)
-            _curve(right, rates, "power", "power_interval", color)
+            for side, name in ((left, "false_positive"), (right, "power")):
+                _curve(side, rates, name, color)
         people = list(dict.fromkeys(rate.participants for rate in study.rates))
         titles = ("False positives: no preference", f"Power: a preference of {abs(study.scenario.effect):g} points")
         for side, title, line in zip((left, right), titles, (study.level, study.target), strict=True):
             side.set_title(title)
             side.axhline(line, color=_INK, linewidth=0.8, linestyle=(0, (4, 2)), zorder=0)
-            side.set_xscale("log")
+            side.set(xscale="log", xlabel="participants")
             side.set_xticks(people, [str(number) for number in people])
             side.minorticks_off()
-            side.set_xlabel("participants")
             side.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
             side.grid(axis="y", color="#e6e8eb", linewidth=0.6)
             side.set_axisbelow(True)
@@ -232,12 +197,11 @@ def power(study: PowerStudy) -> "Figure":
         return figure
 
 
-def _curve(axes: "Axes", rates: Sequence[Rate], name: str, interval: str, color: str) -> None:
+def _curve(axes: "Axes", rates: Sequence[Rate], name: str, color: str) -> None:
     people, first = [rate.participants for rate in rates], rates[0]
-    low, high = zip(*(getattr(rate, interval) for rate in rates), strict=True)
+    heights = [rate.power if name == "power" else rate.false_positive_rate for rate in rates]
+    low, high = zip(*(getattr(rate, f"{name}_interval") for rate in rates), strict=True)
     axes.fill_between(people, low, high, color=color, alpha=0.13, lw=0)
     look: dict[str, Any] = {"marker": _MARKERS[first.unit], "markersize": 3.5, "linewidth": 1.2, "color": color}
     look["linestyle"] = "-" if first.generalizes_to else (0, (2, 1.5))
-    axes.plot(
-        people, [getattr(rate, name) for rate in rates], label=f"{first.test.replace('_', ' ')}, {first.unit}s", **look
-    )
+    axes.plot(people, heights, label=f"{first.test.replace('_', ' ')}, {first.unit}s", **look)

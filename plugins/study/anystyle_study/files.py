@@ -20,8 +20,8 @@ log = logging.getLogger(__name__)
 _MAX_BYTES = 256 << 20
 _WORKBOOKS = (b"PK\3\4", b"\xd0\xcf\x11\xe0")
 # UTF-32 first: its mark begins as that of UTF-16 does.
-_MARKS = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32", codecs.BOM_UTF16_LE: "utf-16",
-          codecs.BOM_UTF16_BE: "utf-16"}  # fmt: skip
+_MARKS = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32"}
+_MARKS |= {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 
 class Sheet(NamedTuple):
@@ -59,18 +59,18 @@ def _decoded(content: bytes, source: str) -> str:
     """Text in UTF-8, UTF-16 or UTF-32; other bytes are read as Windows-1252, and that is told."""
     if content.startswith(_WORKBOOKS):
         raise UserError(f"{source} is a workbook or an archive; save its sheet of answers as CSV UTF-8")
-    head = content[:256]
-    even, odd = head[::2].count(0), head[1::2].count(0)  # in UTF-16 every other byte of a plain header is 0
-    unmarked = "utf-8-sig" if 8 * max(even, odd) < len(head) or min(even, odd) else "utf-16-le" if odd else "utf-16-be"
+    # In UTF-16 without a mark, every other byte of a plain header is 0.
+    unmarked = {b"\0\0": "utf-16-be"}.get(content[:3:2], "utf-8-sig")
+    unmarked = {b"\0\0": "utf-16-le"}.get(content[1:4:2], unmarked)
     encoding = next((name for mark, name in _MARKS.items() if content.startswith(mark)), unmarked)
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as error:
         wrong = f"{source} is not {encoding.removesuffix('-sig').upper()} text (at byte {error.start})"
-    try:
-        text = content.decode("cp1252") if encoding == "utf-8-sig" else ""
-    except UnicodeDecodeError:
-        text = ""
+        try:
+            text = content.decode("cp1252") if encoding == "utf-8-sig" else ""
+        except UnicodeDecodeError:
+            text = ""
     if not text:
         raise UserError(f"{wrong}; save it as CSV UTF-8")
     word = re.findall(r"\w*[^\W\x00-\x7f]\w*|[^\x00-\x7f]", text)[0]
@@ -85,15 +85,14 @@ def _csv_table(text: str, source: str) -> tuple[list[str], list[list[str]], bool
         delimiters, text = told[1], text[told.end() :]
     try:
         tables = {
-            delimiter: [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if any(row)]
-            for delimiter in delimiters
+            mark: [*filter(any, csv.reader(io.StringIO(text, newline=""), delimiter=mark))] for mark in delimiters
         }
     except csv.Error as error:
         raise UserError(f"{source} is not a CSV table: {error}") from None
 
     def fits(delimiter: str) -> tuple[bool, int]:
-        header, *rows = (len(row) for row in tables[delimiter])
-        return header > 1 and all(cells == header for cells in rows), header
+        header, *rows = map(len, tables[delimiter])
+        return header > 1 and {header}.issuperset(rows), header
 
     delimiter = max(tables, key=fits)
     names, *rows = tables[delimiter]
@@ -104,16 +103,13 @@ def _csv_table(text: str, source: str) -> tuple[list[str], list[list[str]], bool
 
 
 def _json_table(text: str, source: str) -> tuple[list[str], Iterable[Sequence[Any]]]:
-    what, cell = (
-        "list of answers, or an object with such a list named 'responses'",
-        dict[str, str | float | bool | None],
-    )
+    what = "list of answers, or an object with such a list named 'responses'"
+    cell = dict[str, str | float | bool | None]
     text = re.sub(r"(?<=[:,\[])\s*NaN(?=\s*[,}\]])", "null", text)  # as Python writes what is missing
     data: Any = parse_json(text, list[cell] | dict[str, Any], source=source, what=what)
     head: dict[str, Any] = data if isinstance(data, dict) else {"responses": data}
-    answers: list[dict[str, Any]] = fit(head.get("responses"), list[cell], source=source, what=what)
     shared = {name: head[name] for name in ("study", "participant", "comment") if name in head}
-    rows = [shared | row for row in answers]
+    rows = [shared | row for row in fit(head.get("responses"), list[cell], source=source, what=what)]
     names = list(dict.fromkeys(str(name) for row in rows for name in row))
     return names, [[row.get(name) for name in names] for row in rows]
 
@@ -122,12 +118,10 @@ def _sqlite_table(path: Path) -> tuple[list[str], list[Sequence[Any]]]:
     """The table ``responses``, or the first one with participants and items, or with participants."""
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            kinds = "SELECT name FROM sqlite_master WHERE type IN ('table', 'view')"
+            kinds = "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') ORDER BY name != 'responses', name"
             tables = [str(name) for (name,) in database.execute(kinds)]
-            tables.sort(key=lambda name: (name != "responses", name))
             for needed, table in product(({"participant", "item"}, {"participant"}), tables):
-                quoted = '"' + table.replace('"', '""') + '"'
-                cursor = database.execute(f"SELECT * FROM {quoted}")
+                cursor = database.execute('SELECT * FROM "{}"'.format(table.replace('"', '""')))
                 names = [column[0] for column in cursor.description]
                 if needed <= {name.strip().lower() for name in names}:
                     return names, cursor.fetchall()

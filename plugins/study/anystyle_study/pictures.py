@@ -25,26 +25,27 @@ ResultPaths = Mapping[tuple[str, str], Sequence[Path]]
 
 def frames_in(path: Path) -> list[Path]:
     """The images of a file or a folder, or of the folder ``renders`` or ``images`` in it, sorted by name."""
-    if path.is_file():
-        return [path] if path.suffix.lower() in SUFFIXES else []
     inner = next((path / name for name in ("renders", "images") if (path / name).is_dir()), path)
-    files = (file for file in inner.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
-    return sorted(files, key=lambda file: natural(file.name))
+    files = (file for file in (inner.iterdir() if inner.is_dir() else [path]) if file.is_file())
+    return sorted((file for file in files if file.suffix.lower() in SUFFIXES), key=lambda file: natural(file.name))
+
+
+def _entries(folder: Path, kind: str) -> list[Path]:
+    """What lies in a folder, hidden entries aside."""
+    if not folder.is_dir():
+        raise UserError(f"{kind} {folder} is not a folder")
+    return [entry for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
 
 
 def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
     """Images of the files and folders in a folder, by their names without suffix."""
-    if not folder.is_dir():
-        raise UserError(f"{kind} {folder} is not a folder")
-    entries = [(entry, frames_in(entry)) for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
+    entries = [(entry, frames_in(entry)) for entry in _entries(folder, kind)]
     return {entry.stem if entry.is_file() else entry.name: frames for entry, frames in entries if frames}
 
 
 def find_results(method: str, folder: Path) -> ResultPaths:
     """Results laid out as ``SCENE/STYLE.png`` or ``SCENE/STYLE/FRAMES``."""
-    if not folder.is_dir():
-        raise UserError(f"method {method}: {folder} is not a folder")
-    scenes = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    scenes = [path for path in _entries(folder, f"method {method}:") if path.is_dir()]
     frames_of = {(path.name, style): frames for path in scenes for style, frames in _frames(path, "scene").items()}
     if not frames_of:
         raise UserError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
@@ -58,9 +59,7 @@ def find_contents(folder: Path) -> dict[str, list[Path]]:
 
 def find_styles(folder: Path) -> dict[str, Path]:
     """Styles laid out as ``STYLE.jpg``, or ``STYLE.txt`` for a style in words, by name."""
-    if not folder.is_dir():
-        raise UserError(f"styles {folder} is not a folder")
-    files = sorted(file for file in folder.iterdir() if file.is_file())
+    files = [file for file in _entries(folder, "styles") if file.is_file()]
     return {file.stem: file for file in files if file.suffix.lower() in (*SUFFIXES, ".txt")}
 
 

@@ -37,15 +37,17 @@ class Scenario:
     scale: Scale = Scale()  # noqa: RUF009 (frozen)  # the answer scale
 
     def __post_init__(self) -> None:
-        if min(self.participants, self.items, self.scenes, self.styles) < 1:
-            counts = f"{self.participants} participants, {self.items} items, {self.scenes} scenes, {self.styles} styles"
-            raise UserError(f"{counts}; expected at least one of each")
-        if not self.items <= self.sets <= self.scenes * self.styles:
+        counts = {name: getattr(self, name) for name in ("participants", "items", "scenes", "styles")}
+        if min(counts.values()) < 1:
+            given = ", ".join(f"{count} {name}" for name, count in counts.items())
+            raise UserError(f"{given}; expected at least one of each")
+        pairs = self.scenes * self.styles
+        if not self.items <= self.sets <= pairs:
             raise UserError(
                 f"{self.items} items each of a pool of {self.sets}: {self.scenes} scenes and {self.styles} styles make "
-                f"{self.scenes * self.styles} sets; give more with --scenes and --styles"
+                f"{pairs} sets; give more with --scenes and --styles"
             )
-        if min(self.sds.values()) < 0 or self.residual_sd < 0:
+        if min(self.residual_sd, *self.sds.values()) < 0:
             raise UserError("a standard deviation is negative; expected 0 or more")
 
     @property
@@ -99,7 +101,7 @@ def simulate(scenario: Scenario, studies: int, seed: int) -> Iterator[Responses]
 
 @dataclass(frozen=True)
 class Rate:
-    """How often a test rejects, with and without a preference."""
+    """How often a test rejects, with and without a preference; intervals are Wilson's at 95 %."""
 
     test: str  # name of the test
     unit: Unit  # what it counts as one observation
@@ -107,7 +109,7 @@ class Rate:
     studies: int  # number of simulated studies of each kind
     generalizes_to: tuple[Population, ...]  # populations that the test's p-values generalise to
     false_positive_rate: float  # rejection rate without a preference
-    false_positive_interval: tuple[float, float]  # Wilson's 95 % interval
+    false_positive_interval: tuple[float, float]
     power: float  # rejection rate with a preference
     power_interval: tuple[float, float]
 
@@ -132,12 +134,11 @@ def rejection_rates(
         interval = stats.binomtest(count, studies).proportion_ci(0.95, method="wilson")
         return count / studies, (float(interval.low), float(interval.high))
 
-    return [
-        Rate(
-            *key, scenario.participants, studies, claims[key], *rate(false), *rate(found if scenario.effect else false)
-        )
-        for key, (false, found) in counts.items()
-    ]
+    rates = []
+    for key, (false, found) in counts.items():
+        powers = rate(found if scenario.effect else false)
+        rates.append(Rate(*key, scenario.participants, studies, claims[key], *rate(false), *powers))
+    return rates
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,9 @@ class PowerStudy:
     @property
     def by_test(self) -> dict[tuple[str, Unit], list[Rate]]:
         """The rates of each test and unit, by rising number of participants."""
-        groups: dict[tuple[str, Unit], list[Rate]] = {}
+        groups: dict[tuple[str, Unit], list[Rate]] = defaultdict(list)
         for rate in self.rates:
-            groups.setdefault((rate.test, rate.unit), []).append(rate)
+            groups[rate.test, rate.unit].append(rate)
         return groups
 
     def valid(self, rates: Sequence[Rate]) -> bool:
@@ -205,18 +206,13 @@ def power_study(
 
 def power_json(study: PowerStudy) -> dict[str, Any]:
     """The content of ``power.json``."""
-    return {
-        "schema": 2,
-        "level": study.level,
-        "target": study.target,
-        "seed": study.seed,
-        "scenario": asdict(study.scenario),
-        "rates": [asdict(rate) for rate in study.rates],
-        "participants_needed": [
-            {"test": test, "unit": unit, "participants": study.needed(rates), "keeps_its_level": study.valid(rates)}
-            for (test, unit), rates in study.by_test.items()
-        ],
-    }
+    content = {"schema": 2} | {name: getattr(study, name) for name in ("level", "target", "seed")}
+    needed = [
+        {"test": test, "unit": unit, "participants": study.needed(rates), "keeps_its_level": study.valid(rates)}
+        for (test, unit), rates in study.by_test.items()
+    ]
+    rates = [asdict(rate) for rate in study.rates]
+    return content | {"scenario": asdict(study.scenario), "rates": rates, "participants_needed": needed}
 
 
 def power_table(study: PowerStudy) -> Table:
@@ -229,15 +225,12 @@ def power_table(study: PowerStudy) -> Table:
         note = "invalid" if not study.valid(rates) else "—" if needed is None else f"{math.ceil(needed)}"
         cells = [f"{rate.false_positive_rate:.3f}" for rate in rates] + [f"{rate.power:.3f}" for rate in rates]
         rows.append((test.replace("_", " "), unit, *cells, note))
-    return Table(
-        columns=("test", "unit", *numbers, f"needed for {study.target:.0%}"),
-        rows=tuple(rows),
-        caption=f"Effect {scenario.effect:g} points, by number of participants",
-        notes=(
-            f"Each participant judges {scenario.items} of {scenario.sets} sets of {scenario.scenes} scenes and "
-            f"{scenario.styles} styles; SD {scenario.participant_sd:g} between participants, {scenario.item_sd:g} "
-            f"between sets, {scenario.scene_sd:g} between scenes, {scenario.style_sd:g} between styles, "
-            f"{scenario.residual_sd:g} of answers; level {study.level:g}; {study.rates[0].studies} simulated studies "
-            "each. invalid: the false-positive rate exceeds the level where the power suffices.",
-        ),
+    note = (
+        f"Each participant judges {scenario.items} of {scenario.sets} sets of {scenario.scenes} scenes and "
+        f"{scenario.styles} styles; SD {scenario.participant_sd:g} between participants, {scenario.item_sd:g} "
+        f"between sets, {scenario.scene_sd:g} between scenes, {scenario.style_sd:g} between styles, "
+        f"{scenario.residual_sd:g} of answers; level {study.level:g}; {study.rates[0].studies} simulated studies "
+        "each. invalid: the false-positive rate exceeds the level where the power suffices."
     )
+    caption = f"Effect {scenario.effect:g} points, by number of participants"
+    return Table(("test", "unit", *numbers, f"needed for {study.target:.0%}"), tuple(rows), caption, (note,))

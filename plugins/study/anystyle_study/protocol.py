@@ -106,15 +106,10 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise UserError("questions: expected at least one")
         if self.show == "grid" and self.views > 6:
             raise UserError(f"views={self.views} are too many for a grid; plan at most 6, or show=flipbook or video")
-        for name, value, low, high in (
-            ("views", self.views, 1, 240),
-            ("frames_per_second", self.frames_per_second, 1, 60),
-            ("degraded", self.degraded, 0, self.sets // 2),
-            ("repeats", self.repeats, 0, self.sets // 2),
-            ("image_size", self.image_size, 64, 4096),
-        ):
-            if not low <= value <= high:
-                raise UserError(f"{name}={value}; expected {low} to {high}")
+        ranges = {"views": (1, 240), "frames_per_second": (1, 60), "image_size": (64, 4096)}
+        for name, (low, high) in (ranges | dict.fromkeys(("degraded", "repeats"), (0, self.sets // 2))).items():
+            if not low <= getattr(self, name) <= high:
+                raise UserError(f"{name}={getattr(self, name)}; expected {low} to {high}")
         if self.completion_url and urlsplit(self.completion_url).scheme not in ("http", "https"):
             raise UserError(f"completion_url={self.completion_url!r}; expected an address that begins with https://")
 
@@ -149,8 +144,7 @@ class Check(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An attention check, which looks like any other set."""
 
     id: str  # column value in the answers
-    # ``degraded`` shows intact files beside degraded ones; ``repeat`` shows a set again
-    kind: Literal["degraded", "repeat"]
+    kind: Literal["degraded", "repeat"]  # intact files beside degraded ones, or a set again
     of: str  # the set that it was made from
     ours: tuple[str, ...]  # the intact files, or those by ours
     theirs: tuple[str, ...]  # the degraded files, or those of the other method
@@ -203,7 +197,8 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     def participant(self, name: str) -> Participant | None:
         """The design's participant behind a name in the answers: ``P01-2`` is a second person in slot ``P01``."""
-        return self._by_code.get(name.partition("-")[0])
+        code = name.partition("-")[0]
+        return next((participant for participant in self.participants if participant.id == code), None)
 
     def shows(self, item: str, name: str) -> bool:
         """Whether a participant is shown a set or check."""
@@ -212,12 +207,7 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     def num_items(self, name: str) -> int:
         """Number of sets, attention checks aside, that a participant is to judge; 0 for an unknown name."""
-        participant = self.participant(name)
-        return 0 if participant is None else sum(isinstance(self.shown[entry], Item) for entry in participant.order)
-
-    @cached_property
-    def _by_code(self) -> dict[str, Participant]:
-        return {participant.id: participant for participant in self.participants}
+        return sum(self.shows(item.id, name) for item in self.items)
 
     def write(self, folder: Path) -> None:
         """Write ``study.json``."""

@@ -66,7 +66,7 @@ class Records:
 
 
 def read_responses(
-    paths: Sequence[Path],
+    paths: Iterable[Path],
     study: Study | None = None,
     *,
     labels: Mapping[str, float] = {},
@@ -75,12 +75,8 @@ def read_responses(
 ) -> Records:
     """Read answers from files and folders of files; the form's own answers need the study's design.
 
-    Args:
-        paths: Files and folders.
-        study: The design; the labels of its questions are read as scores.
-        labels: The scores of additional labels.
-        wide: Whether a table may have one row per person.
-        columns: A table that says what each column of such a table is about, if their names do not.
+    ``labels`` are the scores of labels besides those of the design's questions. With ``wide``, a table may have one row
+    per person; ``columns`` is a table that says what each of its columns is about, if their names do not.
     """
     files = [file for path in paths for file in _files(path)]
     if not files:
@@ -103,12 +99,12 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     inside = [file for file in sorted(path.iterdir()) if file.is_file()]
-    files = [file for file in inside if file.suffix.lower() in _SUFFIXES]
+    files, taken = [file for file in inside if file.suffix.lower() in _SUFFIXES], ", ".join(_SUFFIXES)
     for file in inside:
         if file.suffix.lower() in (".txt", ".xls", ".xlsx", ".ods", ".zip"):
-            log.warning("%s is not read; answers are in files that end in %s", file.name, ", ".join(_SUFFIXES))
+            log.warning("%s is not read; answers are in files that end in %s", file.name, taken)
     if not files:
-        raise UserError(f"{path} holds no responses; expected files that end in {', '.join(_SUFFIXES)}")
+        raise UserError(f"{path} holds no responses; expected files that end in {taken}")
     return files
 
 
@@ -118,8 +114,7 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
     names = [_known_name(name) for name in sheet.names]
     missing = [name for name in REQUIRED if name not in names]
     if missing and (wide or columns):
-        items = () if study is None else study.shown
-        table = long_rows(sheet, path.name, columns, items)
+        table = long_rows(sheet, path.name, columns, () if study is None else study.shown)
     elif missing:
         raise UserError(
             f"{path.name} lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; it has "
@@ -155,19 +150,18 @@ def _answers(
     }
     questions = () if study is None else study.plan.questions
     words = {question.name: {**scale_words(question.labels, question.low), **labels} for question in questions}
-    scores = {
-        name: [columns[name].score(row.get(name, ""), words.get(row["question"], labels)) for row in rows]
+    known = [words.get(row["question"], labels) for row in rows]
+    values = {
+        name: [columns[name].score(row.get(name, ""), of) for row, of in zip(rows, known, strict=True)]
         for name in ("score", "expected")
     }
-    for name, values in scores.items():
-        if None in values:
-            raise UserError(_unread(rows, name, values, source))
-    beside = [row["score"] for row, score in zip(rows, scores["score"], strict=True)
-              if columns["score"].number(row["score"]) is None and score is not None
-              and plain(row["score"]) not in words.get(row["question"], labels)]  # fmt: skip
-    if beside:
+    for name, found in values.items():
+        if None in found:
+            raise UserError(_unread(rows, name, found, source))
+    cells = [row["score"] for row, of in zip(rows, known, strict=True) if plain(row["score"]) not in of]
+    if beside := [cell for cell in cells if columns["score"].number(cell) is None]:
         log.warning("%s: %d answers are read as the number in them, such as %r", source, len(beside), beside[0])
-    for row, score, expected in zip(rows, scores["score"], scores["expected"], strict=True):
+    for row, score, expected in zip(rows, values["score"], values["expected"], strict=True):
         where = f"{source}, {row['']}"
         for name in ("participant", "item", "question"):
             if not row[name]:
@@ -185,15 +179,8 @@ def _answers(
         seconds = columns["seconds"].number(row.get("seconds", ""))
         if seconds is None:
             raise UserError(f"{where}: seconds is {row['seconds'][:40]!r}; expected a number")
-        yield Answer(
-            participant=row["participant"],
-            item=row["item"],
-            question=row["question"],
-            score=score,
-            expected=expected,
-            seconds=seconds,
-            **about,
-        )
+        named = (row["participant"], row["item"], row["question"])
+        yield Answer(*named, score, expected=expected, seconds=seconds, **about)
 
 
 def _unread(rows: Sequence[_Row], name: str, values: Sequence[float | None], source: str) -> str:

@@ -13,12 +13,12 @@ from PIL import Image
 from anystyle.evaluation.tables import Table, escape_latex, escape_markdown
 from anystyle_study import figures, wording
 from anystyle_study.analysis import Analysis, Mean, NamedResult, QuestionAnalysis
+from anystyle_study.checks import KINDS
 from anystyle_study.protocol import PICTURES, Item, Study
 from anystyle_study.wording import bounds, p_text, title_of
 
 PAGES = Path(__file__).parent / "pages"
 _MAX_LISTED = 60  # rows of a list of findings; analysis.json has all
-_CHECKS = ("failed_attention_check", "fast", "duplicated", "out_of_range", "straight_lining", "missing")
 _NUM_EXTREMES = 3
 _LARGE, _SMALL = 220, 72  # pixels of the longer side
 
@@ -31,23 +31,14 @@ def tests_table(question: QuestionAnalysis, confidence: float) -> Table:
         effect = f"{title_of(result.effect_name)} {result.effect:.2f}" if result.effect_name else "—"
         if not math.isnan(result.effect_interval[0]):
             effect += f" {bounds(result.effect_interval)}"
-        rows.append(
-            (
-                title_of(named.name),
-                result.unit,
-                str(result.n),
-                f"{result.estimate:.3f}" + f" {result.estimate_unit}" * (result.estimate_unit != "points"),
-                # An interval of single answers would have no coverage.
-                bounds(result.interval) if result.generalizes_to else "—",
-                p_text(result.pvalue).removeprefix("= "),
-                p_text(named.pvalue_holm).removeprefix("= "),
-                effect,
-                "; ".join(filter(None, [wording.generalization(result.generalizes_to), result.note])),
-            )
-        )
-    interval = f"{100 * confidence:g} % interval"
-    head = ("test", "unit", "n", "estimate", interval, "p", "p (Holm)", "effect", "generalises to")
-    return Table(head, tuple(rows))
+        estimate = f"{result.estimate:.3f}" + f" {result.estimate_unit}" * (result.estimate_unit != "points")
+        # An interval of single answers would have no coverage.
+        interval = bounds(result.interval) if result.generalizes_to else "—"
+        pvalues = (p_text(value).removeprefix("= ") for value in (result.pvalue, named.pvalue_holm))
+        claim = "; ".join(filter(None, [wording.generalization(result.generalizes_to), result.note]))
+        rows.append((title_of(named.name), result.unit, str(result.n), estimate, interval, *pvalues, effect, claim))
+    level = f"{100 * confidence:g} % interval"
+    return Table(("test", "unit", "n", "estimate", level, "p", "p (Holm)", "effect", "generalises to"), tuple(rows))
 
 
 def _blocks(analysis: Analysis) -> Iterator[tuple[str, str | Table]]:
@@ -64,11 +55,11 @@ def _blocks(analysis: Analysis) -> Iterator[tuple[str, str | Table]]:
 
 def markdown(analysis: Analysis) -> str:
     """The section in Markdown."""
-    prefixes = {"section": "## ", "question": "### ", "text": ""}
-    parts = [
-        block.markdown().strip() if isinstance(block, Table) else prefixes[kind] + escape_markdown(block)
+    forms = {"section": "## %s", "question": "### %s", "text": "%s"}
+    parts = (
+        block.markdown().strip() if isinstance(block, Table) else forms[kind] % escape_markdown(block)
         for kind, block in _blocks(analysis)
-    ]
+    )
     return "\n\n".join(parts) + "\n"
 
 
@@ -89,26 +80,22 @@ def html(analysis: Analysis, title: str = "User study", folder: Path | None = No
     questions, study = analysis.questions, analysis.settings.study
     page = Environment(loader=FileSystemLoader(PAGES), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     page.tests["numeric"] = lambda text: text[:1] in set("0123456789+-−—[<")
-    page.globals |= {"wording": wording, "mean_text": _mean_text}
+    page.globals |= {"wording": wording, "plus_minus": _plus_minus}
     drawn = {"likert": figures.likert(analysis), "means": figures.means(analysis)}
-    if any(question.position for question in questions):
-        drawn["positions"] = figures.positions(analysis)
+    alphas = ((one.title, f"{one.alpha:.3f}".replace("nan", "—")) for one in questions)
+    level = analysis.settings.confidence
     return page.get_template("report.html").render(
         title=title,
         analysis=analysis,
         figures={name: figures.as_svg(figure, name) for name, figure in drawn.items()},
         colors=(figures.OURS, figures.NEUTRAL, figures.THEIRS),
         inflation=_inflation(questions),
-        tests=[
-            (question, tests_table(question, analysis.settings.confidence), _classes(question))
-            for question in questions
-        ],
-        agreement=Table(
-            ("question", "alpha"), tuple((one.title, f"{one.alpha:.3f}".replace("nan", "—")) for one in questions)
-        ),
+        positions=_positions(questions),
+        tests=[(question, tests_table(question, level), _classes(question)) for question in questions],
+        agreement=Table(("question", "alpha"), tuple(alphas)),
         study=study,
         galleries=[_gallery(question, study, folder) for question in questions] if study and folder else [],
-        findings={kind.replace("_", " ").capitalize(): analysis.checks.of_kind(kind) for kind in _CHECKS},
+        findings={kind.replace("_", " ").capitalize(): analysis.checks.of_kind(kind) for kind in KINDS},
         max_listed=_MAX_LISTED,
         version=version("anystyle"),
     )
@@ -121,8 +108,10 @@ def _ordered(question: QuestionAnalysis) -> list[NamedResult]:
 
 def _classes(question: QuestionAnalysis) -> list[str]:
     """A CSS class for each row of the table of tests."""
-    kinds = {True: "primary", False: ""}
-    return [kinds[one == question.primary] if one.result.generalizes_to else "naive" for one in _ordered(question)]
+    naive = ("naive", "")
+    return [
+        "primary" * (one == question.primary) or naive[bool(one.result.generalizes_to)] for one in _ordered(question)
+    ]
 
 
 def _inflation(questions: Sequence[QuestionAnalysis]) -> Table:
@@ -137,6 +126,17 @@ def _inflation(questions: Sequence[QuestionAnalysis]) -> Table:
             worth = f"{varies.effective_answers:.0f} of {question.responses.count}"
             rows.append((question.title, *spreads, worth, wording.percent(varies.naive_error_rate)))
     return Table(head, tuple(rows))
+
+
+def _positions(questions: Sequence[QuestionAnalysis]) -> Table:
+    """Mean answers where ours was shown on each side, and the position bias."""
+    rows = []
+    for question in questions:
+        if (at := question.position) is not None:
+            as_a, as_b = map(_plus_minus, (at.mean_when_ours_is_a, at.mean_when_ours_is_b), at.half_widths)
+            bias = f"{at.bias:+.2f} {bounds(at.interval)}".replace("-", "−")
+            rows.append((question.title, as_a, as_b, bias, p_text(at.pvalue).removeprefix("= ")))
+    return Table(("question", "ours as A", "ours as B", "position bias", "p"), tuple(rows))
 
 
 def _gallery(question: QuestionAnalysis, study: Study, folder: Path) -> dict[str, Any]:
@@ -159,9 +159,9 @@ def _gallery(question: QuestionAnalysis, study: Study, folder: Path) -> dict[str
     }
 
 
-def _mean_text(mean: Mean) -> str:
-    text = f"{mean.mean:+.2f}".replace("-", "−")
-    return text + (f" ± {mean.half_width:.2f}" if math.isfinite(mean.half_width) else "")
+def _plus_minus(mean: float, half_width: float) -> str:
+    text = f"{mean:+.2f}".replace("-", "−")
+    return text + (f" ± {half_width:.2f}" if math.isfinite(half_width) else "")
 
 
 def _picture(folder: Path, files: tuple[str, ...], longest: int) -> str:

@@ -54,20 +54,16 @@ def sequence(study: Study, participant: Participant) -> list[dict[str, Any]]:
 def render(study: Study, pictures: Mapping[str, str] | None = None) -> str:
     """The page; with ``pictures`` as data URLs it needs no server and holds the sets of every participant."""
     pages = files("anystyle_study") / "pages"
-    script = (pages / "form.js").read_text(encoding="utf-8")
+    page, style, script = ((pages / f"form.{name}").read_text(encoding="utf-8") for name in ("html", "css", "js"))
     plan = msgspec.to_builtins(study.plan)
     data = {"id": study.id, "server": pictures is None, **{name: plan[name] for name in _SHOWN}}
     if pictures is not None:
         data |= {"pictures": pictures, "people": {person.id: sequence(study, person) for person in study.participants}}
-    text = json.dumps(data, ensure_ascii=False)
-    return Template((pages / "form.html").read_text(encoding="utf-8")).substitute(
-        title=escape(study.plan.title),
-        style=(pages / "form.css").read_text(encoding="utf-8"),
-        # No text may look like the end of the script element.
-        data=text.replace("<", "\\u003c").replace(">", "\\u003e").replace("\u2028", "\\u2028"),
-        script=script,
-        hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-    )
+    # No text may look like the end of the script element.
+    text = json.dumps(data, ensure_ascii=False).replace("<", "\\u003c").replace(">", "\\u003e")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    title = escape(study.plan.title)
+    return Template(page).substitute(title=title, style=style, data=text, script=script, hash=digest)
 
 
 def write_page(study: Study, folder: Path, out: Path) -> None:
@@ -88,10 +84,16 @@ class StudyApplication:
         self._study, self._store = study, store
         self._pictures = {f"/pictures/{name}": file for name, file in picture_files(study, folder).items()}
         self._page = render(study).encode()
+        self._handlers: dict[str, tuple[type, Callable[[Any, str], Any]]] = {
+            "/session": (Claim, self._begin),
+            "/answers": (PostedAnswer, store.add),
+            "/facts": (Fact, store.note),
+            "/finish": (SessionMessage, store.finish),
+        }
 
     def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
         """Answer one request."""
-        status, kind, body = self._answer(environ)
+        status, kind, body = self._answer(environ["PATH_INFO"], environ)
         headers = [
             ("Content-Type", kind),
             ("Content-Length", str(len(body))),
@@ -102,8 +104,7 @@ class StudyApplication:
         start_response(f"{status} {HTTPStatus(status).phrase}", headers)
         return [body]
 
-    def _answer(self, environ: dict[str, Any]) -> tuple[int, str, bytes]:
-        path = environ["PATH_INFO"]
+    def _answer(self, path: str, environ: dict[str, Any]) -> tuple[int, str, bytes]:
         if environ["REQUEST_METHOD"] == "GET":
             if path == "/":
                 return 200, "text/html; charset=utf-8", self._page
@@ -111,33 +112,26 @@ class StudyApplication:
                 return 200, _KINDS[self._pictures[path].suffix], self._pictures[path].read_bytes()
             return _error(404, "there is nothing here")
         try:
-            return 200, _JSON, json.dumps(self._post(path, environ)).encode()
+            # Pages of other sites can send plain forms here, but not JSON.
+            if environ.get("CONTENT_TYPE", "").partition(";")[0].strip() != _JSON:
+                return _error(400, "JSON is expected")
+            if path not in self._handlers:
+                return _error(404, "there is nothing here")
+            kind, handle = self._handlers[path]
+            message = parse_json(environ["wsgi.input"].read(), kind, source="the message")
+            token = environ.get("HTTP_AUTHORIZATION", "").removeprefix("Bearer ")
+            return 200, _JSON, json.dumps(handle(message, token) or {"saved": True}).encode()
         except (Refused, UserError) as error:
             return _error(error.status if isinstance(error, Refused) else 400, error)
         except (sqlite3.Error, OSError) as error:
             _log.error("answers cannot be stored: %s", error)
             return _error(503, "answers cannot be stored at the moment")
 
-    def _post(self, path: str, environ: dict[str, Any]) -> dict[str, Any]:
-        # Pages of other sites can send plain forms here, but not JSON.
-        if environ.get("CONTENT_TYPE", "").partition(";")[0].strip() != _JSON:
-            raise Refused(400, "JSON is expected")
-        body = environ["wsgi.input"].read()
-        token = environ.get("HTTP_AUTHORIZATION", "").removeprefix("Bearer ")
-        if path == "/session":
-            session = self._store.claim(parse_json(body, Claim, source="the message"))
-            participant = self._study.participant(session["participant"])
-            assert participant is not None
-            return session | {"sets": sequence(self._study, participant)}
-        handlers: dict[str, tuple[type[SessionMessage], Callable[[Any, str], Any]]] = {
-            "/answers": (PostedAnswer, self._store.add),
-            "/facts": (Fact, self._store.note),
-            "/finish": (SessionMessage, self._store.finish),
-        }
-        if path not in handlers:
-            raise Refused(404, "there is nothing here")
-        kind, handle = handlers[path]
-        return handle(parse_json(body, kind, source="the message"), token) or {"saved": True}
+    def _begin(self, message: Claim, _: str) -> dict[str, Any]:
+        session = self._store.claim(message)
+        participant = self._study.participant(session["participant"])
+        assert participant is not None
+        return session | {"sets": sequence(self._study, participant)}
 
 
 def _error(status: int, reason: object) -> tuple[int, str, bytes]:

@@ -1,7 +1,7 @@
 """The built-in tests of a user study."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -10,9 +10,10 @@ from scipy import special, stats
 
 from anystyle.ranges import Range
 from anystyle_study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
-from anystyle_study.statistics import Crossing, superiority, t_interval, t_pvalue
+from anystyle_study.statistics import crossed_mean, one_sided, superiority, t_interval, t_pvalue
 
 
+@dataclass(kw_only=True)
 class Significance(StudyTest):
     """A test with an alternative hypothesis and a confidence level.
 
@@ -21,22 +22,14 @@ class Significance(StudyTest):
         confidence: Level of the intervals.
     """
 
-    def __init__(
-        self, *, alternative: Alternative = "two-sided", confidence: Annotated[float, Range(gt=0, lt=1)] = 0.95
-    ) -> None:
-        self.alternative: Alternative = alternative
-        self.confidence = confidence
+    alternative: Alternative = "two-sided"
+    confidence: Annotated[float, Range(gt=0, lt=1)] = 0.95
 
     def result(self, responses: Responses, **values: Any) -> TestResult:
         """A result with this test's options; ``values`` are the other fields and may override the defaults."""
-        defaults = {
-            "unit": responses.unit,
-            "n": responses.count,
-            "generalizes_to": generalization(responses.unit),
-            "alternative": self.alternative,
-            "confidence": self.confidence,
-        }
-        return TestResult(**(defaults | values))
+        unit = responses.unit
+        defaults = {"unit": unit, "n": responses.count, "generalizes_to": generalization(unit)}
+        return TestResult(alternative=self.alternative, confidence=self.confidence, **(defaults | values))
 
     def untestable(self, responses: Responses, reason: str, method: str) -> TestResult:
         """A result without a p-value."""
@@ -58,8 +51,7 @@ class CrossedT(Significance):
         people = levels.get("participants", 1)
         drawn = " x ".join(f"{count} {factor}" for factor, count in levels.items())
         method = f"t test of the mean over crossed random {drawn or 'factors'}, moment estimates"
-        crossed = Crossing(factors=factors).mean(responses.deviations) if factors else None
-        if crossed is None or crossed.error == 0:
+        if (crossed := crossed_mean(responses)) is None:
             reason = f"{drawn or 'one participant, one item'}: the means do not vary, and nothing can be tested"
             return replace(self.untestable(responses, reason, method), unit="participant", n=people)
         statistic, df = float(crossed.mean / crossed.error), float(crossed.df)
@@ -94,17 +86,11 @@ class OneSampleT(Significance):
         if sd <= 1e-14 * max(1.0, abs(mean)):
             reason = f"every {responses.unit} has the same mean: a t test needs some variation"
             return self.untestable(responses, reason, method)
-        error = sd / math.sqrt(n)
-        return self.result(
-            responses,
-            statistic=mean / error,
-            pvalue=t_pvalue(mean / error, float(n - 1), self.alternative),
-            estimate=mean,
-            interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
-            effect=mean / sd,
-            effect_name="cohens_d",
-            method=f"{method}, {n - 1} degrees of freedom",
-        )
+        test: Any = stats.ttest_1samp(values, 0, alternative=self.alternative)
+        interval = tuple(map(float, test.confidence_interval(self.confidence)))
+        effect = {"effect": mean / sd, "effect_name": "cohens_d", "method": f"{method}, {n - 1} degrees of freedom"}
+        found = {"statistic": float(test.statistic), "pvalue": float(test.pvalue), "estimate": mean}
+        return self.result(responses, **found, interval=interval, **effect)
 
 
 class OrdinalMixed(Significance):
@@ -146,6 +132,7 @@ class OrdinalMixed(Significance):
         )
 
 
+@dataclass(kw_only=True)
 class SignFlip(Significance):
     """scipy's one-sample permutation test, which flips the sign of each participant's mean.
 
@@ -159,12 +146,8 @@ class SignFlip(Significance):
 
     units: ClassVar[tuple[Unit, ...]] = ("participant",)
 
-    def __init__(
-        self, *, alternative: Alternative = "two-sided", resamples: int = 9999, seed: int = 0, confidence: float = 0.95
-    ) -> None:
-        super().__init__(alternative=alternative, confidence=confidence)
-        self.resamples = resamples
-        self.seed = seed
+    resamples: int = 9999
+    seed: int = 0
 
     def __call__(self, responses: Responses) -> TestResult:
         values, n = responses.deviations, responses.count
@@ -173,36 +156,24 @@ class SignFlip(Significance):
             reason = f"{n} {responses.unit}(s), {np.count_nonzero(values)} not neutral: there is nothing to flip"
             return self.untestable(responses, reason, method)
         generator = np.random.default_rng(self.seed)
-        test: Any = stats.permutation_test(
-            (values,),
-            lambda flipped, axis: flipped.mean(axis),
-            permutation_type="samples",
-            vectorized=True,
-            n_resamples=self.resamples,
-            alternative=self.alternative,
-            rng=generator,
-            batch=max(1, 4_000_000 // n),
-        )
+        batch = max(1, 4_000_000 // n)
+        options = {"n_resamples": self.resamples, "alternative": self.alternative, "rng": generator, "batch": batch}
+        test: Any = stats.permutation_test((values,), np.mean, permutation_type="samples", **options)
         mean = float(values.mean())
         chosen = generator.random((min(self.resamples, 4_000_000 // n), n)) < 0.5
         chosen = chosen[chosen.any(1)]
         tail = (1 - self.confidence) / (2 if self.alternative == "two-sided" else 1)
         low, high = np.quantile(chosen @ values / chosen.sum(1), [tail, 1 - tail]).tolist()
-        low = -math.inf if self.alternative == "less" else min(low, mean)
-        high = math.inf if self.alternative == "greater" else max(high, mean)
-        return self.result(
-            responses,
-            statistic=mean,
-            pvalue=float(test.pvalue),
-            estimate=mean,
-            interval=(low, high),
-            method=f"{method}; interval: typical values of random subsets",
-        )
+        interval = one_sided((min(low, mean), max(high, mean)), self.alternative)
+        method = f"{method}; interval: typical values of random subsets"
+        pvalue = float(test.pvalue)
+        return self.result(responses, statistic=mean, pvalue=pvalue, estimate=mean, interval=interval, method=method)
 
 
 _MAX_EXACT = 50  # observations
 
 
+@dataclass(kw_only=True)
 class Wilcoxon(Significance):
     """scipy's signed-rank test of symmetry about the neutral answer; the paper runs it on single responses.
 
@@ -216,17 +187,8 @@ class Wilcoxon(Significance):
 
     units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")
 
-    def __init__(
-        self,
-        *,
-        alternative: Alternative = "two-sided",
-        zero_method: Literal["wilcox", "pratt", "zsplit"] = "wilcox",
-        method: Literal["auto", "approx"] = "auto",
-        confidence: float = 0.95,
-    ) -> None:
-        super().__init__(alternative=alternative, confidence=confidence)
-        self.zero_method: Literal["wilcox", "pratt", "zsplit"] = zero_method
-        self.method: Literal["auto", "approx"] = method
+    zero_method: Literal["wilcox", "pratt", "zsplit"] = "wilcox"
+    method: Literal["auto", "approx"] = "auto"
 
     def __call__(self, responses: Responses) -> TestResult:
         values, name = responses.deviations, f"Wilcoxon signed-rank test (scipy), zero_method={self.zero_method}"
@@ -237,12 +199,9 @@ class Wilcoxon(Significance):
         ranked = len(values) - zeros * (self.zero_method == "wilcox")
         total = ranked * (ranked + 1) / 2 - (zeros * (zeros + 1) / 2 if self.zero_method == "pratt" else 0)
         # One-sided, so that the statistic is the positive rank sum and z keeps its sign.
-        normal: Any = stats.wilcoxon(
-            values, zero_method=self.zero_method, correction=False, alternative="less", method="asymptotic"
-        )
-        exact = (
-            self.method == "auto" and not zeros and ranked <= _MAX_EXACT and len(np.unique(np.abs(values))) == ranked
-        )
+        normal: Any = stats.wilcoxon(values, zero_method=self.zero_method, alternative="less", method="asymptotic")
+        ties = len(np.unique(np.abs(values))) < ranked
+        exact = self.method == "auto" and not zeros and ranked <= _MAX_EXACT and not ties
         pvalue = t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
         if exact:
             result: Any = stats.wilcoxon(values, alternative=self.alternative, method="exact")
@@ -282,10 +241,8 @@ def pseudo_median(
     order = np.argsort(averages)
     found = averages[order][np.searchsorted(np.cumsum(times[order]), ranks)]
     low_median, high_median, lower, upper = (np.round(found, 12) + 0.0).tolist()
-    median = (low_median + high_median) / 2
-    if lower == upper:
-        return median, (math.nan, math.nan)
-    return median, (-math.inf if alternative == "less" else lower, math.inf if alternative == "greater" else upper)
+    interval = (math.nan, math.nan) if lower == upper else one_sided((lower, upper), alternative)
+    return (low_median + high_median) / 2, interval
 
 
 def _quantile(n: int, tail: float) -> int:

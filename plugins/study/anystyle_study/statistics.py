@@ -30,8 +30,13 @@ def t_interval(
     if not error > 0:
         return math.nan, math.nan
     half_width = float(special.stdtrit(df, (1 + confidence) / 2 if alternative == "two-sided" else confidence)) * error
-    low = -math.inf if alternative == "less" else mean - half_width
-    return low, math.inf if alternative == "greater" else mean + half_width
+    return one_sided((mean - half_width, mean + half_width), alternative)
+
+
+def one_sided(interval: tuple[float, float], alternative: Alternative) -> tuple[float, float]:
+    """An interval, infinite on the side that the alternative does not bound."""
+    low, high = interval
+    return -math.inf if alternative == "less" else low, math.inf if alternative == "greater" else high
 
 
 def holm(pvalues: Sequence[float]) -> list[float]:
@@ -96,6 +101,14 @@ class Crossing:
         return CrossedMean(np.asarray(mean), np.asarray(error), np.asarray(df), components)
 
 
+def crossed_mean(responses: Responses) -> CrossedMean | None:
+    """The mean deviation over the factors of the answers; ``None`` if nothing varies."""
+    if not responses.factors:
+        return None
+    crossed = Crossing(factors=responses.factors).mean(responses.deviations)
+    return None if crossed.error == 0 else crossed
+
+
 @dataclass(frozen=True)
 class Variation:
     """How answers vary, and the cost of treating them as independent."""
@@ -110,20 +123,15 @@ class Variation:
 
 def variation(responses: Responses) -> Variation | None:
     """Variance components of the answers; ``None`` if there are none to estimate."""
-    factors, n = responses.factors, responses.count
-    if not factors or n < 3:
-        return None
-    crossed = Crossing(factors=factors).mean(responses.deviations)
-    naive = float(responses.deviations.var(ddof=1)) / n
-    if crossed.error == 0 or naive <= 1e-24:
+    n = responses.count
+    crossed = crossed_mean(responses) if n >= 3 else None
+    naive = float(responses.deviations.var(ddof=1)) / n if crossed else 0.0
+    if crossed is None or naive <= 1e-24:
         return None
     effect = float(crossed.error) ** 2 / naive
-    return Variation(
-        sds=dict(zip([*factors, "answers"], np.sqrt(crossed.components).tolist(), strict=True)),
-        design_effect=effect,
-        effective_answers=n / effect,
-        naive_error_rate=2 * float(special.ndtr(special.ndtri(0.025) / math.sqrt(effect))),
-    )
+    sds = dict(zip([*responses.factors, "answers"], np.sqrt(crossed.components).tolist(), strict=True))
+    naive_error_rate = 2 * float(special.ndtr(special.ndtri(0.025) / math.sqrt(effect)))
+    return Variation(sds, design_effect=effect, effective_answers=n / effect, naive_error_rate=naive_error_rate)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
-"""Sessions and answers, stored durably in SQLite: one row an answer."""
+"""Sessions and answers, stored durably in SQLite: one row per answer."""
 
 import hashlib
-import os
 import sqlite3
 import threading
 from collections import Counter
@@ -85,39 +84,26 @@ class Store:
             self._database.execute("PRAGMA journal_mode=WAL")
             self._database.execute("PRAGMA synchronous=FULL")
             self._database.executescript(Path(__file__).with_name("tables.sql").read_text(encoding="utf-8"))
-            held = self._database.execute("SELECT id FROM study").fetchone()
+            self._database.execute("INSERT INTO study SELECT ? WHERE NOT EXISTS (SELECT * FROM study)", (study.id,))
+            (held,) = self._database.execute("SELECT id FROM study").fetchone()
         except sqlite3.DatabaseError as error:
             raise UserError(f"{path} cannot be used for answers: {error}; name another file") from None
-        if held is None:
-            self._database.execute("INSERT INTO study VALUES (?)", (study.id,))
-        elif held[0] != study.id:
+        if held != study.id:
             self.close()
-            raise UserError(f"{path} holds answers to another study ({held[0]}, not {study.id}); name another file")
+            raise UserError(f"{path} holds answers to another study ({held}, not {study.id}); name another file")
         self._files = {file: file.stat().st_ino for file in (path, path.with_name(path.name + "-wal"))}
-        folder = os.open(path.parent, os.O_RDONLY)
-        os.fsync(folder)  # so that the file names are durable
-        os.close(folder)
 
     def close(self) -> None:
         """Close the file."""
         self._database.close()
-
-    def _belongs(self, message: Claim | SessionMessage) -> None:
-        if message.study != self._study.id:
-            raise Refused(400, "this belongs to another study")
 
     @contextmanager
     def _change(self) -> Iterator[sqlite3.Connection]:
         """A transaction that is on the disk at the end of the block; fails if the files were replaced."""
         with self._lock:
             self._database.execute("BEGIN IMMEDIATE")
-            try:
+            with self._database:  # commits, or rolls back
                 yield self._database
-                self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
-                raise
             for file, inode in self._files.items():
                 if file.stat().st_ino != inode:
                     raise OSError(f"{file} was replaced while the study is served")
@@ -170,9 +156,9 @@ class Store:
 
     def add(self, message: PostedAnswer, token: str) -> None:
         """Store one answer."""
-        participant = self._authorized(message, token)
         question = self._questions.get(message.question)
-        if message.item not in participant.order or question is None or message.side not in question.sides:
+        order = self._authorized(message, token).order
+        if message.item not in order or question is None or message.side not in question.sides:
             raise Refused(400, "the set or the question is not one of this participant's")
         if not question.scale.low <= message.score <= question.scale.high:
             raise Refused(400, "the score is outside the scale")
@@ -194,22 +180,25 @@ class Store:
         if len(message.value) > _MAX_TEXT:
             raise Refused(413, f"a text has at most {_MAX_TEXT} characters")
         with self._change() as database:
-            query = "INSERT OR REPLACE INTO facts VALUES (?, ?, ?)"
-            database.execute(query, (message.participant, message.name, message.value))
+            values = (message.participant, message.name, message.value)
+            database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?, ?)", values)
 
     def finish(self, message: SessionMessage, token: str) -> dict[str, str]:
         """Completion code and address, once every answer is stored."""
-        participant = self._authorized(message, token)
-        expected = len(participant.order) * sum(len(question.sides) for question in self._questions.values())
+        order, who = self._authorized(message, token).order, message.participant
+        expected = len(order) * sum(len(question.sides) for question in self._questions.values())
         with self._change() as database:
-            query = "SELECT count(*) FROM responses WHERE participant = ?"
-            (kept,) = database.execute(query, (message.participant,)).fetchone()
+            (kept,) = database.execute("SELECT count(*) FROM responses WHERE participant = ?", (who,)).fetchone()
             if kept < expected:
                 raise Refused(409, f"{expected - kept} answers are missing")
             query = "UPDATE sessions SET finished = coalesce(finished, ?) WHERE participant = ?"
-            database.execute(query, (_now(), message.participant))
+            database.execute(query, (_now(), who))
         plan = self._study.plan
         return {"code": plan.completion_code, "url": plan.completion_url.replace("{code}", plan.completion_code)}
+
+    def _belongs(self, message: Claim | SessionMessage) -> None:
+        if message.study != self._study.id:
+            raise Refused(400, "this belongs to another study")
 
     def _authorized(self, message: SessionMessage, token: str) -> Participant:
         self._belongs(message)

@@ -25,11 +25,9 @@ _HEADING = re.compile(
 def long_rows(sheet: Sheet, source: str, key: Path | None, items: Collection[str]) -> list[dict[str, str]]:
     """A row for each answer of each person; columns that are not understood become columns of every row.
 
-    Args:
-        sheet: Its columns say their item and question in their names, unless there is a ``key``.
-        source: Name of the file, for messages.
-        key: A table that says it of each ``column``, by name or number, with ``ours_is`` or ``method`` and the like.
-        items: Names of the design's sets; without any, only items that say where ours was are answers.
+    Columns say their item and question in their names, unless the table ``key`` says it of each ``column``, by name or
+    number, with ``ours_is`` or ``method`` and the like. Without the design's ``items``, only items that say where ours
+    was are answers. ``source`` is the name of the file, for messages.
     """
     names = [name.lower() if name.lower() in ("participant", "comment") else name for name in sheet.names]
     facts: dict[str, dict[str, int]] = {}
@@ -43,17 +41,15 @@ def long_rows(sheet: Sheet, source: str, key: Path | None, items: Collection[str
     if "participant" not in names:
         log.warning("%s has no column participant: each row counts as another person", source)
     used = {*columns, *(index for each in facts.values() for index in each.values())}
-    fields = dict.fromkeys(name for about in columns.values() for name in about)
-    fields |= dict.fromkeys(name for each in facts.values() for name in each)
+    fields = dict.fromkeys([name for about in (*columns.values(), *facts.values()) for name in about], "")
     rows: list[dict[str, str]] = []
     for line, cells in enumerate(sheet.rows, start=2):
-        shared = {"participant": f"row {line}"} | {
-            n: c for i, (n, c) in enumerate(zip(names, cells, strict=True)) if i not in used
-        }
+        shared = {name: cells[index] for index, name in enumerate(names) if index not in used}
+        shared = {"participant": f"row {line}"} | shared
         for index, about in columns.items():
             own = {name: cells[column] for name, column in facts.get(about["item"], {}).items()}
             where = {"": f"row {line}, column {names[index]!r}", "score": cells[index]}
-            rows.append(shared | dict.fromkeys(fields, "") | about | own | where)
+            rows.append(shared | fields | about | own | where)
     return rows
 
 

@@ -30,14 +30,12 @@ def p_text(pvalue: float) -> str:
         return "n/a"
     if pvalue < 1e-300:
         return "< 1e-300"
-    if pvalue < 1e-3:
-        return f"= {pvalue:.2e}" if pvalue < 1e-4 else f"= {pvalue:.4f}"
-    return f"= {pvalue:.3f}"
+    return f"= {pvalue:{'.2e' if pvalue < 1e-4 else '.4f' if pvalue < 1e-3 else '.3f'}}"
 
 
 def bounds(interval: tuple[float, float]) -> str:
     """An interval; a dash if there is none."""
-    if math.isnan(interval[0]) or math.isnan(interval[1]):
+    if any(map(math.isnan, interval)):
         return "—"
     low, high = (f"{end:.2f}" if math.isfinite(end) else "−∞" if end < 0 else "∞" for end in interval)
     return f"[{low}, {high}]"
@@ -129,11 +127,9 @@ def registered(analysis: Analysis) -> list[str]:
         excluded.append(f"answer more than {percent(rules.fast_share)} of the sets {fast}")
     if rules.straight_lining:
         excluded.append("give one answer throughout")
+    first = "Of several answers to one question the first counts."
     changed = " These rules are not the design's." * (study is not None and rules != study.plan.rules)
-    lines.append(
-        f"Participants are excluded who {' or '.join(excluded)}. Of several answers to one question the first counts."
-        + changed
-    )
+    lines.append(f"Participants are excluded who {' or '.join(excluded)}. {first}{changed}")
     margin = "No equivalence margin was set."
     if settings.margin is not None:
         way = f"{percent(settings.margin)} of the way from neutral to the end of the scale"
@@ -161,18 +157,17 @@ def took_part(analysis: Analysis) -> str:
 def _missing(analysis: Analysis) -> str:
     """Which answers are missing or outside of the scale, and who of the design gave none."""
     lacking, study = analysis.checks.missing, analysis.settings.study
-    totals: Counter[str] = sum(map(Counter, lacking.values()), Counter())
     text = "No answer is missing." * (study is not None)  # without a design, rows may be missing
     if lacking:
+        totals: Counter[str] = sum(map(Counter, lacking.values()), Counter())
         people = "; ".join(f"{person}: {_counts(counts)}" for person, counts in lacking.items())
         text = f"{totals.total()} answers are missing ({_counts(totals)}), of {people}."
-    if outside := analysis.checks.of_kind("out_of_range"):
-        people = ", ".join(dict.fromkeys(finding.participant for finding in outside))
+    if outside := [finding.participant for finding in analysis.checks.of_kind("out_of_range")]:
+        people = ", ".join(dict.fromkeys(outside))
         text += f" Those outside of the scale count as missing: {len(outside)}, of {people}."
-    if study is not None:
-        present = {study.participant(answer.participant) for answer in analysis.records.answers}
-        absent = [participant.id for participant in study.participants if participant not in present]
-        text += f" Nobody answered as {', '.join(absent)}." if absent else ""
+    present = {answer.participant.partition("-")[0] for answer in analysis.records.answers}
+    if absent := [one.id for one in (study.participants if study else ()) if one.id not in present]:
+        text += f" Nobody answered as {', '.join(absent)}."
     return text
 
 

@@ -1,15 +1,14 @@
 """The analysis as a whole: its files, its words, its speed, and that no text gets out of hand."""
 
-import html.parser
 import json
 import math
-import subprocess
-import sys
+import re
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from anystyle.errors import UserError
 from anystyle.evaluation import published_figures
 from anystyle_study.analysis import AnalysisOptions, analyze, as_json
 from anystyle_study.command import StudyCommand
@@ -22,30 +21,21 @@ from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, Sign
 from anystyle_study.wording import p_text, response_level, took_part, verdict
 from tests.support.study_cases import answer_rows, small_study, write_csv
 
-TESTS = {
-    "one_sample_t": OneSampleT(),
-    "wilcoxon": Wilcoxon(),
-    "sign_flip": SignFlip(resamples=499),
-    "crossed_t": CrossedT(),
-    "ordinal_mixed": OrdinalMixed(),
-}
+PLAIN = {"one_sample_t": OneSampleT(), "wilcoxon": Wilcoxon()}
+TESTS = PLAIN | {"sign_flip": SignFlip(resamples=499), "crossed_t": CrossedT(), "ordinal_mixed": OrdinalMixed()}
 QUESTIONS = ("style", "content", "overall")
 
 
-def study(*arguments, cwd, check=None):
-    """Run ``anystyle study`` as a person does."""
-    command = [sys.executable, "-m", "anystyle", "study", *map(str, arguments)]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
-    if check is not None:
-        assert done.returncode == check, done.stderr
-    return done
+def run(*arguments):
+    """Run ``anystyle study analyze``."""
+    StudyCommand()(["analyze", *map(str, arguments)])
 
 
 @pytest.fixture(scope="module")
 def analysis(tmp_path_factory):
-    rows = answer_rows(people=20, items=10, questions=QUESTIONS)
+    rows = answer_rows(people=12, items=6, questions=QUESTIONS)
     path = write_csv(tmp_path_factory.mktemp("answers") / "r.csv", rows)
-    return analyze(read_responses([path]), TESTS, AnalysisOptions())
+    return analyze(read_responses([path]), TESTS)
 
 
 def test_every_test_is_run_at_every_unit(analysis):
@@ -60,7 +50,7 @@ def test_every_test_is_run_at_every_unit(analysis):
 
 def test_the_published_tests_come_from_the_plain_scores(tmp_path):
     rows = answer_rows(people=20, items=10)
-    found = as_json(analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, AnalysisOptions()))
+    found = as_json(analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), PLAIN))
     scores = np.array([score if side == "A" else 6 - score for _, _, _, score, side in rows]).reshape(20, 10)
     tests = {(row["name"], row["unit"]): row for row in found["questions"]["style"]["tests"]}
     for unit, values in (("response", scores.ravel()), ("participant", scores.mean(1)), ("item", scores.mean(0))):
@@ -90,22 +80,19 @@ def test_the_papers_p_values_take_every_answer_for_a_person(tmp_path):
 
 def test_holm_is_over_the_questions(analysis):
     rows = [question["tests"][1] for question in as_json(analysis)["questions"].values()]
-    ordered = sorted(rows, key=lambda row: row["pvalue"])
-    assert ordered[0]["pvalue_holm"] == pytest.approx(min(1, 3 * ordered[0]["pvalue"]), rel=1e-9)
-    assert all(row["pvalue_holm"] >= row["pvalue"] * (1 - 1e-9) for row in rows)
+    least = min(rows, key=lambda row: row["pvalue"])
+    assert least["pvalue_holm"] == pytest.approx(min(1, 3 * least["pvalue"]), rel=1e-9)
 
 
 def test_the_report_says_what_response_level_tests_do(analysis):
     page = report_html(analysis)
-    assert "counts every answer as an independent one" in page
-    assert "instead of 5 %" in response_level(analysis)
-    rate = analysis.questions[0].variation.naive_error_rate
-    assert f"{100 * rate:.0f} %" in page
+    assert "counts every answer as an independent one" in response_level(analysis) in page
+    assert f"{100 * analysis.questions[0].variation.naive_error_rate:.0f} %" in page
 
 
 def test_nothing_reassures_about_participants_who_are_too_few(tmp_path):
     rows = answer_rows(people=4, items=10)
-    few = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, AnalysisOptions())
+    few = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), PLAIN)
     assert "too few to show how much people differ" in response_level(few)
 
 
@@ -150,11 +137,10 @@ def test_a_verdict_is_a_preference_or_comparable_and_never_both(tmp_path, shift,
 
 @pytest.mark.slow
 def test_confidence_and_alternative_reach_every_figure(tmp_path):
-    rows = answer_rows(people=20, items=10)
-    write_csv(tmp_path / "r.csv", rows)
+    path = write_csv(tmp_path / "r.csv", answer_rows(people=20, items=10))
     results = {}
     for words in (("--confidence", 0.9), ("--confidence", 0.99), ("--alternative", "less"), ("--seed", 5)):
-        study("analyze", "r.csv", "--out", f"out{words[-1]}", "--no-report", *words, cwd=tmp_path, check=0)
+        run(path, "--out", tmp_path / f"out{words[-1]}", "--no-report", *words)
         content = json.loads((tmp_path / f"out{words[-1]}" / "analysis.json").read_text())
         results[words[-1]] = content["questions"]["style"]
 
@@ -176,15 +162,15 @@ def test_no_verdict_where_most_are_excluded_or_one_is_left(tmp_path):
     rows = [(*row, "") for row in answer_rows(people=10, items=8, shift=-1.5)]
     rows += [(f"P{person:02d}", "check", "style", 1 if person < 6 else 5, "", 5) for person in range(10)]
     path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,expected")
-    found = analyze(read_responses([path]), TESTS, AnalysisOptions())
+    found = analyze(read_responses([path]), PLAIN)
     assert verdict(found, found.questions[0]) == "No conclusion is possible: 6 of 10 participants were excluded."
     assert "6 were left out (6 for more than 0 attention checks failed)" in took_part(found)
     one = answer_rows(people=1, items=8, shift=-1.5)
-    found = analyze(read_responses([write_csv(tmp_path / "s.csv", one)]), TESTS, AnalysisOptions())
+    found = analyze(read_responses([write_csv(tmp_path / "s.csv", one)]), PLAIN)
     assert "No conclusion is possible: one participant" in verdict(found, found.questions[0])
 
 
-def test_a_designed_study_is_undone_and_reported(tmp_path):
+def test_a_designed_study_is_undone_and_reported(tmp_path, capsys):
     """Answers as the form keeps them: the design says where ours was, what is a check, and who was to answer what."""
     designed, _ = small_study(tmp_path, participants=12, repeats=1)
     rows = []
@@ -193,12 +179,11 @@ def test_a_designed_study_is_undone_and_reported(tmp_path):
             prefers = name in participant.ours_is_a  # everybody likes ours, and what is intact
             rows.append((designed.id, participant.id, name, "style", "", 2 if prefers else 4, 9))
             for side in "AB":
-                rows.append(
-                    (designed.id, participant.id, name, "content", side, 3 if (side == "A") == prefers else 2, 9)
-                )
-    write_csv(tmp_path / "a.csv", rows, "study,participant,item,question,side,score,seconds")
-    done = study("analyze", "a.csv", "--study", "study", "--out", "out", cwd=tmp_path, check=0)
-    assert "style: " in done.stdout
+                score = 3 if (side == "A") == prefers else 2
+                rows.append((designed.id, participant.id, name, "content", side, score, 9))
+    path = write_csv(tmp_path / "a.csv", rows, "study,participant,item,question,side,score,seconds")
+    run(path, "--study", tmp_path / "study", "--out", tmp_path / "out", "--test", "crossed_t", "--test", "wilcoxon")
+    assert "style: " in capsys.readouterr().out
     content = json.loads((tmp_path / "out" / "analysis.json").read_text())
     assert content["questions"]["style"]["mean"] == 2
     assert content["questions"]["content"]["ratings"] == {"ours": 3.0, "theirs": 2.0}
@@ -210,8 +195,8 @@ def test_a_designed_study_is_undone_and_reported(tmp_path):
     assert page.count('<img alt="ours"') == page.count('<img alt="other"') > 0
     assert all(f"{item.scene}</td><td>{item.style}" in page for item in designed.items)
     assert designed.id in paper and "nan" not in paper.replace("anan", "")
-    refused = study("analyze", "a.csv", "--out", "other", cwd=tmp_path, check=2)
-    assert "does not say where ours was" in refused.stderr
+    with pytest.raises(UserError, match="does not say where ours was"):
+        run(path, "--out", tmp_path / "other")
 
 
 def test_the_text_names_what_is_missing(tmp_path):
@@ -241,22 +226,6 @@ def test_the_text_names_what_is_missing(tmp_path):
         read_responses([path], designed)
 
 
-class Texts(html.parser.HTMLParser):
-    """The tags of a page, and what it loads."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags, self.links = set(), []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        self.links += [
-            value
-            for name, value in attrs
-            if name in ("src", "href", "xlink:href") and value and not value.startswith("#")
-        ]
-
-
 def test_no_text_gets_out_of_hand(tmp_path):
     evil = "<script>alert(1)</script>"
     rows = [(*row, "") for row in answer_rows(people=4, items=4)]
@@ -266,22 +235,15 @@ def test_no_text_gets_out_of_hand(tmp_path):
     path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,comment")
     found = analyze(read_responses([path]), {"one_sample_t": OneSampleT()}, AnalysisOptions())
     page = report_html(found, title=evil)
-    parser = Texts()
-    parser.feed(page)
-    assert "<script" not in page
-    assert "<img" not in page
-    assert not parser.tags & {"script", "img", "iframe", "object", "link"}
-    assert parser.links == []
+    assert not re.search(r"<(script|img|iframe|object|link)|(src|href)=\"[^#]", page)
     assert "&lt;img src=x onerror=alert(1)&gt;" in page
-    assert "<script" not in markdown(found)
-    assert "<script" not in latex(found)
+    assert "<script" not in markdown(found) + latex(found)
 
 
-@pytest.mark.parametrize("score", [3, 2])
-@pytest.mark.parametrize(("people", "items"), [(1, 6), (6, 1), (1, 1), (6, 6)])
+@pytest.mark.parametrize(("people", "items", "score"), [(1, 6, 2), (6, 1, 2), (1, 1, 3), (6, 6, 3), (6, 6, 2)])
 def test_answers_that_say_little_give_a_report_all_the_same(tmp_path, people, items, score):
     rows = [(*row[:3], score if row[4] == "A" else 6 - score, row[4]) for row in answer_rows(people, items)]
-    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, AnalysisOptions())
+    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS)
     content = json.loads(json.dumps(as_json(found), allow_nan=False))
     for row in content["questions"]["style"]["tests"]:
         assert row["pvalue"] is not None or row["note"]
@@ -300,16 +262,14 @@ def test_p_values_as_people_write_them():
 
 @pytest.mark.slow
 def test_the_command_writes_everything_twice_the_same(tmp_path):
-    write_csv(tmp_path / "r.csv", answer_rows(people=10, items=6, questions=("style", "content")))
-    words = ("analyze", "r.csv", "sign_flip.resamples=199")
-    done = study(*words, "--out", "one", cwd=tmp_path, check=0)
-    assert "style: " in done.stdout
-    study(*words, "--out", "two", cwd=tmp_path, check=0)
+    path = write_csv(tmp_path / "r.csv", answer_rows(people=10, items=6, questions=("style", "content")))
+    for name in ("one", "two"):
+        run(path, "sign_flip.resamples=199", "--out", tmp_path / name)
     names = sorted(path.relative_to(tmp_path / "one").as_posix() for path in (tmp_path / "one").rglob("*.*"))
     assert names == [
         ".anystyle",  # what was written here, so that nothing else is ever replaced
         "analysis.json",
-        *(f"figures/{name}.{suffix}" for name in ("likert", "means", "positions") for suffix in ("pdf", "svg")),
+        *(f"figures/{name}.{suffix}" for name in ("likert", "means") for suffix in ("pdf", "svg")),
         "report.html",
         "results.md",
         "results.tex",
@@ -336,6 +296,6 @@ def test_errors_leave_nothing(tmp_path, words, told, monkeypatch):
     write_csv(tmp_path / "r.csv", answer_rows(people=4, items=4))
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError) as error:
-        StudyCommand()(["analyze", *words])
+        run(*words)
     assert told in str(error.value)
     assert not (tmp_path / "out").exists()

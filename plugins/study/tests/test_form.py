@@ -3,9 +3,9 @@
 import json
 import os
 import signal
-import threading
+import sqlite3
 import time
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from contextlib import closing
 
 import pytest
 
@@ -34,14 +34,9 @@ def answer_pages(page, study, participant, first=0, last=None, by="keys"):
         for step, (field, levels) in enumerate(SCORES.items()):
             score = 1 + (index + 2 * step) % levels
             chosen[item, field.rstrip("AB"), field[-1] if field[-1] in "AB" else ""] = score
-            if by == "keys":
-                page.keyboard.press(str(score))
-            else:
-                page.click(f"fieldset[data-question={field}] input[value='{score}']")
-        if by == "keys":
-            page.keyboard.press("Enter")
-        else:
-            page.click("#next")
+            radio = f"fieldset[data-question={field}] input[value='{score}']"
+            page.keyboard.press(str(score)) if by == "keys" else page.click(radio)
+        page.keyboard.press("Enter") if by == "keys" else page.click("#next")
     return chosen
 
 
@@ -92,7 +87,7 @@ def test_the_static_page_from_first_click_to_saved_answers(page, errors, designe
     assert {(row["item"], row["question"], row["side"]): row["score"] for row in saved["responses"]} == chosen
     check_positions(study, file, "P02", chosen)
     assert set(saved["responses"][0]) == {
-        *("participant", "item", "question", "side", "score", "seconds", "time", "revision"),
+        *("participant", "item", "question", "side", "score", "seconds", "time", "revision")
     }
     assert errors == []
 
@@ -187,19 +182,7 @@ def test_a_second_browser_is_told_until_the_code_is_released(page, designed, tmp
 def test_recruited_participants_agree_answer_and_go_back_with_a_code(page, tmp_path):
     """The whole way of one of Prolific's participants: id, consent, demographics, sets, code, and back."""
     visited = []
-
-    class Elsewhere(BaseHTTPRequestHandler):
-        def do_GET(self):
-            visited.append(self.path)
-            self.send_response(200)
-            self.end_headers()
-            self.wfile.write(b"<h1>Back</h1>")
-
-        def log_message(self, format, *args):
-            pass
-
-    elsewhere = HTTPServer(("127.0.0.1", 0), Elsewhere)
-    threading.Thread(target=elsewhere.serve_forever, daemon=True).start()
+    page.route("https://back.example/**", lambda route: visited.append(route.request.url) or route.fulfill(body="Back"))
     study, folder = small_study(
         tmp_path,
         consent="You may stop at any time.",
@@ -208,7 +191,7 @@ def test_recruited_participants_agree_answer_and_go_back_with_a_code(page, tmp_p
             {"name": "job", "text": "Your job"},
         ],
         id_parameters=["PROLIFIC_PID", "workerId"],
-        completion_url=f"http://127.0.0.1:{elsewhere.server_port}/complete?cc={{code}}",
+        completion_url="https://back.example/complete?cc={code}",
         completion_code="C0FFEE",
     )
     database = tmp_path / "answers.sqlite"
@@ -233,19 +216,14 @@ def test_recruited_participants_agree_answer_and_go_back_with_a_code(page, tmp_p
         page.keyboard.insert_text("Fine.")
         page.click("#end")
         wait(page, "document.getElementById('completion')?.textContent === 'C0FFEE'")
-        wait(page, "document.querySelector('h1').textContent === 'Back'")
-    elsewhere.shutdown()
-    elsewhere.server_close()
-    assert visited[0] == "/complete?cc=C0FFEE"
+        wait(page, "document.body.innerText === 'Back'")
+    assert visited == ["https://back.example/complete?cc=C0FFEE"]
     assert kept_answers(database, "P01") == chosen
-    import sqlite3
-
-    connection = sqlite3.connect(database)
-    facts = dict(connection.execute("SELECT name, value FROM people WHERE participant = 'P01'").fetchall())
-    assert connection.execute("SELECT comment FROM responses WHERE comment IS NOT NULL").fetchall() == [("Fine.",)]
-    connection.close()
-    assert set(facts) == {"consent", "age"}
-    assert facts["age"] == "older"
+    with closing(sqlite3.connect(database)) as connection:
+        facts = dict(connection.execute("SELECT name, value FROM people WHERE participant = 'P01'").fetchall())
+        comments = connection.execute("SELECT comment FROM responses WHERE comment IS NOT NULL").fetchall()
+    assert comments == [("Fine.",)]
+    assert set(facts) == {"consent", "age"} and facts["age"] == "older"
 
 
 def test_the_page_tells_nobody_which_method_is_which(designed):
@@ -255,9 +233,6 @@ def test_the_page_tells_nobody_which_method_is_which(designed):
         for word in ("ours", study.ours + '"', "baseline", "degraded", "scene0", "style0", *study.baselines):
             assert word not in page.partition('id="study">')[2].partition("</script>")[0], word
         assert "</script> styles" not in page.partition("<script")[2].partition("</script>")[0]
-    first = [
-        entry["A"] in {item.ours for item in study.items}
-        for one in study.participants
-        for entry in sequence(study, one)
-    ]
+    ours, shown = {item.ours for item in study.items}, [sequence(study, one) for one in study.participants]
+    first = [entry["A"] in ours for entries in shown for entry in entries]
     assert 0 < sum(first) < len(first)

@@ -7,15 +7,7 @@ import pytest
 from scipy import stats
 
 from anystyle_study.contract import Scale
-from anystyle_study.power import (
-    PowerStudy,
-    Scenario,
-    power_json,
-    power_study,
-    power_table,
-    rejection_rates,
-    simulate,
-)
+from anystyle_study.power import PowerStudy, Scenario, power_json, power_study, power_table, rejection_rates, simulate
 from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
 
 CALIBRATED = {
@@ -54,17 +46,10 @@ def test_false_positives_when_participants_differ():
 def test_power_of_the_participant_t_test_is_the_noncentral_t():
     """On a fine scale the means are as good as normal, and the power is known."""
     scenario = Scenario(
-        participants=16,
-        items=10,
-        effect=-3.0,
-        participant_sd=5.0,
-        residual_sd=4.0,
-        **ALIKE,
-        scale=Scale(0.0, 100.0),
+        participants=16, items=10, effect=-3.0, participant_sd=5.0, residual_sd=4.0, **ALIKE, scale=Scale(0.0, 100.0)
     )
-    found = rates_of(scenario, {"one_sample_t": OneSampleT(alternative="less")}, studies=1500, seed=3)[
-        "one_sample_t", "participant"
-    ]
+    tests = {"one_sample_t": OneSampleT(alternative="less")}
+    found = rates_of(scenario, tests, studies=1500, seed=3)["one_sample_t", "participant"]
     sd = math.sqrt(25 + (16 + 1 / 12) / 10)
     power = stats.nct.cdf(stats.t.ppf(0.05, 15), 15, -3 / sd * 4)
     assert found == pytest.approx(power, abs=0.04)
@@ -114,20 +99,22 @@ def test_power_as_table_and_data(study: PowerStudy):
     ],
 )
 def test_power_of_nothing_is_refused(changes, told):
-    options = {"participants": (4,), "studies": 5, **changes}
     with pytest.raises(ValueError, match=told):
-        power_study(Scenario(effect=-0.2), {"one_sample_t": OneSampleT()}, **options)
+        power_study(Scenario(effect=-0.2), {}, **{"participants": (4,), "studies": 5, **changes})
 
 
-def test_scenarios_that_cannot_be_are_refused():
-    with pytest.raises(ValueError, match="an effect of 0"):
-        power_study(Scenario(), {}, participants=(4,))
-    with pytest.raises(ValueError, match="negative"):
-        Scenario(item_sd=-1.0)
-    with pytest.raises(ValueError, match="0 participants"):
-        Scenario(participants=0)
-    with pytest.raises(ValueError, match="make 12 sets"):
-        Scenario(items=20, scenes=4, styles=3)
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({}, "an effect of 0"),
+        ({"item_sd": -1.0}, "negative"),
+        ({"participants": 0}, "0 participants"),
+        ({"items": 20, "scenes": 4, "styles": 3}, "make 12 sets"),
+    ],
+)
+def test_scenarios_that_cannot_be_are_refused(changes, told):
+    with pytest.raises(ValueError, match=told):
+        power_study(Scenario(**changes), {}, participants=(4,))
 
 
 def test_simulated_studies_have_the_design_of_a_drawn_one():

@@ -43,9 +43,8 @@ def test_wilcoxon_equals_scipy_with_ties_and_zeros(unit, alternative, zero_metho
     for seed in range(3):
         rows = answers(seed).at(unit)
         mine = Wilcoxon(alternative=alternative, zero_method=zero_method, method="approx")(rows)
-        theirs = stats.wilcoxon(
-            rows.deviations, alternative=alternative, zero_method=zero_method, method="approx", correction=False
-        )
+        options = {"alternative": alternative, "zero_method": zero_method, "method": "approx", "correction": False}
+        theirs = stats.wilcoxon(rows.deviations, **options)
         if alternative != "two-sided":  # where scipy reports the smaller rank sum
             assert mine.statistic == theirs.statistic
         assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10)
@@ -61,11 +60,10 @@ def test_holm_equals_its_definition():
 
 def test_sign_flip_equals_enumeration():
     sums = np.random.default_rng(3).integers(-9, 8, 11)
-    result = SignFlip(alternative="less")(table(sums[:, None] / 4))
-    flipped = [np.dot(signs, sums) for signs in itertools.product((-1, 1), repeat=11)]
-    assert result.pvalue == pytest.approx(np.mean(np.array(flipped) <= sums.sum()), rel=1e-10)
-    two_sided = SignFlip()(table(sums[:, None] / 4)).pvalue
-    assert two_sided == pytest.approx(np.mean(np.abs(flipped) >= abs(sums.sum())), rel=1e-10)
+    flipped = np.array(list(itertools.product((-1, 1), repeat=11))) @ sums
+    rows = table(sums[:, None] / 4)
+    assert SignFlip(alternative="less")(rows).pvalue == pytest.approx(np.mean(flipped <= sums.sum()), rel=1e-10)
+    assert SignFlip()(rows).pvalue == pytest.approx(np.mean(np.abs(flipped) >= abs(sums.sum())), rel=1e-10)
 
 
 def test_effects_equal_their_definitions():
@@ -88,11 +86,8 @@ def test_krippendorff_alpha_of_the_published_example():
         ". 3 3 3 2 3 4 2 2 5 1 .",
         "1 2 3 3 2 4 4 1 2 5 1 .",
     ]
-    counts = np.zeros((12, 5))
-    for line in observers:
-        for unit, value in enumerate(line.split()):
-            if value != ".":
-                counts[unit, int(value) - 1] += 1
+    given = np.array([[value.replace(".", "0") for value in line.split()] for line in observers], dtype=int)
+    counts = (given[:, :, None] == np.arange(1, 6)).sum(0).astype(float)
     assert krippendorff_alpha(counts) == pytest.approx(0.815, abs=5e-4)
 
 
@@ -106,9 +101,8 @@ def test_crossed_moments_are_unbiased_in_an_incomplete_table():
     root = np.linalg.cholesky(covariance)
     # Columns whose outer products sum to the covariance stand for all draws: moments are quadratic.
     crossing = Crossing(factors=factors)
-    raw = crossing._inverse @ np.array(
-        [*(((m.T @ center @ root) ** 2).sum() for m in members), ((center @ root) ** 2).sum()]
-    )
+    squares = np.array([((m.T @ center @ root) ** 2).sum() for m in [*members, np.eye(60)]])
+    raw = crossing._inverse @ squares
     assert raw == pytest.approx(variances, rel=1e-9)
 
 
@@ -150,9 +144,8 @@ def test_ordinal_likelihood_gradient_equals_differences(shape, neutral):
     values = random.integers(-2, 3, shape) + (0.0 if neutral else 0.5)
     rows = table(values, random.random(shape) < 0.5)
     model = clmm.OrdinalModel(responses=replace(rows, item_styles=tuple(f"{i % 3}" for i in range(shape[1]))))
-    place = np.concatenate(
-        [[-0.3, 0.2], random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]]
-    )
+    spacings, sds = random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]
+    place = np.concatenate([[-0.3, 0.2], spacings, sds])
     _, gradient = model.loglikelihood(place)
     moves = 1e-5 * np.eye(len(place))
     differences = [(model.loglikelihood(place + m)[0] - model.loglikelihood(place - m)[0]) / 2e-5 for m in moves]

@@ -34,12 +34,13 @@ def test_negative_means_ours(plugin: Subject[StudyTest]) -> None:
 
 def test_too_little_is_not_an_error(plugin: Subject[StudyTest]) -> None:
     """One answer, one participant, or answers without any variation give a result, never an error."""
+    neutral = replace(_answers(0.0), deviations=np.zeros(60))
     cases = {
         "a single answer": _answers(-0.8, participants=1, items=1),
         "a single participant": _answers(-0.8, participants=1),
         "a single item": _answers(-0.8, items=1),
-        "answers that are all neutral": replace(_answers(0.0), deviations=np.zeros(60)),
-        "answers that are all 1": replace(_answers(0.0), deviations=np.full(60, -2.0)),
+        "answers that are all neutral": neutral,
+        "answers that are all 1": replace(neutral, deviations=np.full(60, -2.0)),
     }
     for what, answers in cases.items():
         for unit in plugin.cls.units:
