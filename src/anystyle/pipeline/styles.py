@@ -124,19 +124,18 @@ def embed_styles(
     embedded: dict[tuple[int, float], EmbeddedStyle] = {}
 
     def embed(style: StyleInput, scale: float) -> EmbeddedStyle:
-        if (id(style), scale) not in embedded:
-            if isinstance(style, Mixture):
-                mixed = mix(embed(style.first, scale), embed(style.second, scale), style.amount)
-                embedded[id(style), scale] = mixed
-            elif isinstance(style, Places):
-                parts = [
-                    replace(embed(part, scale), controls=place if isinstance(place, Controls) else Controls(mask=place))
-                    for part, place in style.styles
-                ]
-                embedded[id(style), scale] = placed(parts)
-            else:
-                embedded[id(style), scale] = _embed(style, stylizer, scale)
-        return embedded[id(style), scale]
+        if (id(style), scale) in embedded:
+            return embedded[id(style), scale]
+        match style:
+            case Mixture(first=first, second=second, amount=amount):
+                result = mix(embed(first, scale), embed(second, scale), amount)
+            case Places(styles=styles):
+                places = [place if isinstance(place, Controls) else Controls(mask=place) for _, place in styles]
+                parts = zip(styles, places, strict=True)
+                result = placed([replace(embed(part, scale), controls=place) for (part, _), place in parts])
+            case _:
+                result = _embed(style, stylizer, scale)
+        return embedded.setdefault((id(style), scale), result)
 
     return [embed(style, one.scale).under(one) for style in styles for one in controls]
 
