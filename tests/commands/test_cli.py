@@ -56,10 +56,16 @@ def command(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(launch.paths, "CONF", conf)
     monkeypatch.chdir(tmp_path)
 
+    def work(words: tuple[str, ...]) -> None:
+        parser = flags()
+        launch.describe(parser)
+        arguments, rest = split(parser, words)
+        launch.launch("config", lambda config: job(config, arguments), rest)
+
     def go(*words: str) -> tuple[int, str, str]:
         status = 0
         try:
-            launch.main("config", job, flags(), words=list(words))
+            run(lambda: work(words))
         except SystemExit as left:
             status = int(left.code or 0)
         captured = capsys.readouterr()

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from anystyle.contracts.training import BatchSource, Training
     from anystyle.registry.pluggable import Pluggable
 
-_MODULES = ("command", "protocol", "cameras", "sources", "backbone", "style", "scene", "scores", "format", "training")
+_MODULES = ("command", "sources", "backbone", "style", "scene", "scores", "format", "cameras", "protocol", "training")
 
 
 def __getattr__(name: str) -> Any:

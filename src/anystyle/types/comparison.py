@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.types.scene import Gaussians, Renders, Scene
-from anystyle.types.value import Value
+from anystyle.types.shapes import Value
 from anystyle.types.views import Cameras, Style, StyleEmbedding, Views
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from anystyle.io import ply
 from anystyle.io.splats import NEAR, Offset, Splats
 from anystyle.types.network import Attributes, Features, Geometry, Tokens
-from anystyle.types.value import Given, Value
+from anystyle.types.shapes import Given, Value
 from anystyle.types.views import Cameras, Views
 
 
