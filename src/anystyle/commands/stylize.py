@@ -46,7 +46,7 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     finally:
         thumbnail.unlink(missing_ok=True)
     scenes = f"{len(results)} stylized scene{'s' if len(results) > 1 else ''}"
-    # Of the files of all styles, one that nothing reads back is a page to look at.
+    # Among the files of all styles, one that nothing reads back is a page to look at.
     formats = [(name, catalog().find("format", name).load()) for name in request.export.formats]
     pages = [target / f"scene.{name}" for name, kind in formats if kind.many_styles and not kind.reads]
     page = next((path for path in pages if path.is_file()), target / "sheet.png")

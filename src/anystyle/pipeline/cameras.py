@@ -28,7 +28,7 @@ class KnownCameras:
         views: Those of input views.
         indices: Which input view each of them belongs to.
         targets: Every stored camera, those of input views too.
-        names: Of the targets.
+        names: Names of the targets.
     """
 
     views: Cameras

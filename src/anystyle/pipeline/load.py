@@ -33,7 +33,7 @@ from anystyle.pipeline.request import Request
 from anystyle.published import Published
 from anystyle.registry.build import build, build_all, choice
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import compose
+from anystyle.registry.compose import compose, options
 from anystyle.registry.schema import runtime_arguments
 from anystyle.stylizer import Stylizer
 from anystyle.types import Site, Views, matching_sites
@@ -63,23 +63,17 @@ def weights_file(name: object) -> Path:
 
 def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> StyleBranch:
     """A style branch at initialisation: copies of the backbone's parts, and injectors that are identities."""
-    options = branch_options(config)
-    sites = build(Placement, config.placement).select(sites_of(backbone, options.sh_degree))
+    branch: BranchOptions = options(config, "branch")
+    sites = build(Placement, config.placement).select(sites_of(backbone, branch.sh_degree))
     chosen: dict[Site, Any] = dict.fromkeys(sites, config.injector)
-    for pattern, other in options.injectors.items():
+    for pattern, other in branch.injectors.items():
         chosen |= dict.fromkeys(matching_sites(sites, [pattern]), choice(Injector, other))
 
     def make_injector(site: Site) -> Injector:
         return build(Injector, chosen[site], dim=site.dim, style_dim=style_dim, site=site)
 
-    given = {name: value for name, value in vars(options).items() if name != "injectors"}
+    given = {name: value for name, value in vars(branch).items() if name != "injectors"}
     return StyleBranch(backbone, sites=sites, make_injector=make_injector, **given)
-
-
-def branch_options(config: DictConfig) -> BranchOptions:
-    """The checked options of the style branch."""
-    given: Any = OmegaConf.to_container(config.branch, resolve=True)
-    return BranchOptions(**given)
 
 
 def published_by(config: DictConfig) -> Published:
@@ -121,19 +115,13 @@ def make_scenes(config: DictConfig, key: str = "scenes") -> SceneSource:
 
 
 def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
-    """Build a stylizer and load its weights.
-
-    Args:
-        config: Nodes ``backbone, style_encoder, placement, injector, renderer, branch, precision`` and ``weights``,
-            which names a file for each of ``backbone, style_encoder, branch``, or ``null`` for a part left as
-            initialised. A file is one of ours, or holds weights under the names that their publishers gave them.
-        learns: Whether the style branch is going to be trained; if not, an untrained one is warned of.
+    """Build a stylizer and load the files that ``config.weights`` names, each ours or under its publishers' names.
 
     Returns:
         The stylizer, and what was loaded: file name, SHA-256, provenance; by part, and where one has several networks
-        the further ones by ``part/network``.
+        the others by ``part/network``. A warning tells of an untrained branch unless it ``learns``.
     """
-    branch_options(config)
+    options(config, "branch")  # refuses what is wrong before anything is loaded
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
     if "backbone" not in files:
         require_weights(config)
@@ -144,7 +132,13 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
     # A file that several parts come from is read once.
     states = {file: weights.read(file) for file in {files[part] for part in files if part not in ours}}
     if "branch" in ours:
-        _check_base(ours["branch"], {part: digests[file] for part, file in files.items()})
+        for part, digest in read_header(ours["branch"]).base.items():
+            given = digests[files[part]] if part in files else "not given"
+            if given != digest:
+                raise UserError(
+                    f"{ours['branch']} was trained on a {part} with SHA-256 {digest[:12]}…, and weights.{part} is "
+                    f"{given[:12]}; name the file it was trained on"
+                )
     published = {part: states[file] for part, file in files.items() if part not in ours}
     stylizer, headers = build_and_load(config, ours, published)
     loaded: dict[str, dict[str, Any]] = {}
@@ -155,16 +149,12 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
         for index, source in enumerate(() if part in files else getattr(stylizer, part).sources):
             name = part if index == 0 else f"{part}/{source.network}"
             loaded[name] = {"file": source.file, "sha256": source.sha256, "provenance": {}}
-    if "backbone" not in loaded:
-        _log.warning(
-            "the backbone is untrained and its scenes mean nothing, for no weights of it are named; train one, "
-            "or give its file as weights.backbone"
-        )
-    if "branch" not in loaded and not learns:
-        _log.warning(
-            "the style branch is untrained and changes nothing, for no weights of one on this backbone are named; "
-            "train one, or give its file as weights.branch"
-        )
+    told = {"backbone": ("the backbone", "its scenes mean nothing, for no weights of it are named")}
+    if not learns:
+        told["branch"] = ("the style branch", "changes nothing, for no weights of one on this backbone are named")
+    for part, (what, why) in told.items():
+        if part not in loaded:
+            _log.warning("%s is untrained and %s; train one, or give its file as weights.%s", what, why, part)
     return stylizer, loaded
 
 
@@ -228,12 +218,12 @@ def load_model(
     return LoadedModel(stylizer, method, reconstruction, poses, loaded, all_named)
 
 
-def first_views(config: DictConfig, options: ViewOptions) -> Views:
+def first_views(config: DictConfig, views: ViewOptions) -> Views:
     """The first views of the configured scene."""
     source = make_scenes(config)
     if not 0 <= config.scene < len(source):
         raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
-    number = min(source.num_views(config.scene), options.take or Reconstruction.max_views)
+    number = min(source.num_views(config.scene), views.take or Reconstruction.max_views)
     return source.read(config.scene, range(number))
 
 
@@ -297,7 +287,10 @@ def build_and_load(
     fill("branch", branch)
     renderer = build(Renderer, config.renderer)
     stylizer = Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer)
-    return set_precision(stylizer, config.precision), headers
+    for module in modules_in_bf16(config.precision, backbone, branch):
+        module.to(torch.bfloat16)
+    stylizer.autocast = config.precision == "reference"
+    return stylizer, headers
 
 
 @contextlib.contextmanager
@@ -305,16 +298,6 @@ def _on_meta(enabled: bool) -> Iterator[None]:
     """Build modules on the meta device where it is enabled: without memory, and without initial values."""
     with torch.device("meta") if enabled else contextlib.nullcontext():
         yield
-
-
-def _check_base(file: Path, digests: dict[str, str]) -> None:
-    """Refuse a branch that was trained on top of other weights."""
-    for part, digest in read_header(file).base.items():
-        if digests.get(part) != digest:
-            raise UserError(
-                f"{file} was trained on a {part} with SHA-256 {digest[:12]}…, and weights.{part} is "
-                f"{digests.get(part, 'not given')[:12]}; name the file it was trained on"
-            )
 
 
 def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str, Any]) -> Header:
@@ -330,28 +313,20 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
         base={part: sha256(file) for part, file in files.items()},
         provenance=dict(provenance),
         # Without a file of the backbone it is unknown what was copied.
-        omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
+        omitted=tuple(
+            name
+            for name, part in branch.named_children()
+            if "backbone" in files and {each.requires_grad for each in part.parameters()} == {False}
+        ),
     )
 
 
-def _is_frozen(part: nn.Module) -> bool:
-    return {parameter.requires_grad for parameter in part.parameters()} == {False}
-
-
-def set_precision(stylizer: Stylizer, precision: str) -> Stylizer:
-    """Set what inference computes in, in place; weights are rounded to it. Geometry is always computed in fp32.
-
-    ``bf16``: weights and activations of the transformers and Gaussian heads, half the memory. ``reference``: as the
-    published code runs on a GPU, the frozen transformers' weights in bf16 and the rest under autocast.
-    """
-    for module in modules_in_bf16(precision, stylizer.backbone, stylizer.branch):
-        module.to(torch.bfloat16)
-    stylizer.autocast = precision == "reference"
-    return stylizer
-
-
 def modules_in_bf16(precision: str, backbone: Backbone, branch: StyleBranch | None = None) -> list[nn.Module]:
-    """The modules whose weights a precision stores in bf16."""
+    """The modules whose weights a precision stores in bf16; geometry is always computed in fp32.
+
+    ``bf16``: the transformers and Gaussian heads, half the memory. ``reference``: as the published code runs on a GPU,
+    the frozen transformers, and the rest under autocast.
+    """
     if precision not in PRECISIONS:
         raise UserError(f"precision is {precision!r}; choose from {', '.join(PRECISIONS)}")
     parts: list[nn.Module] = [] if precision == "fp32" else [backbone.embedder, backbone.aggregator]

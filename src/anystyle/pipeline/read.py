@@ -36,10 +36,10 @@ class ReadViews:
     Args:
         views: On the CPU, all of one size.
         sources: Where each view comes from.
-        reconstruction: Makes a scene of them.
-        cameras: Of all views, stored or estimated; ``None`` where the backbone predicts them.
+        reconstruction: What makes a scene of them.
+        cameras: The cameras of all views, stored or estimated; ``None`` where the backbone predicts them.
         points: For each view, sparse points in the cameras' world that it shows, where some are known.
-        targets: Stored cameras that the scene is to be rendered from, too.
+        targets: Stored cameras that the scene is to be rendered from as well.
         report: The entries of ``report.json`` on the cameras.
     """
 
@@ -93,7 +93,12 @@ def read(
     backbone's single pass.
     """
     if isinstance(inputs, Views):
-        return _with_stored(inputs, _own_sources(inputs, backbone.patch_size), reconstruction or Feedforward(), poses)
+        if any(side % backbone.patch_size for side in inputs.size):
+            wrong = f"the scene's images are {inputs.size}"
+            raise UserError(f"{wrong}; their sides must be multiples of {backbone.patch_size}")
+        names = [f"view_{index:02d}" for index in range(inputs.images.shape[1])]
+        own = tuple(covering(name, inputs.size, inputs.size) for name in names)
+        return _with_stored(inputs, own, reconstruction or Feedforward(), poses)
     paths, masks, given = paths_of(inputs), {}, None
     if options.masks is not None:
         masks = find_masks(expanded(options.masks), [path for item in paths for path in files_of(item)])
@@ -212,11 +217,3 @@ def view_size(backbone: Backbone, options: ViewOptions, reconstruction: Reconstr
 def paths_of(inputs: str | Path | Sequence[str | Path]) -> list[Path]:
     """Inputs other than views."""
     return [Path(path) for path in ([inputs] if isinstance(inputs, (str, Path)) else inputs)]
-
-
-def _own_sources(views: Views, multiple: int) -> tuple[SourceImage, ...]:
-    """Views that were read already, as their own sources."""
-    if any(side % multiple for side in views.size):
-        raise UserError(f"the scene's images are {views.size}; their sides must be multiples of {multiple}")
-    names = [f"view_{index:02d}" for index in range(views.images.shape[1])]
-    return tuple(covering(name, views.size, views.size) for name in names)

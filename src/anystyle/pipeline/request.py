@@ -223,7 +223,7 @@ class _StyleFlag(argparse.Action):
 
 
 def _styles_of(arguments: argparse.Namespace) -> tuple[StyleInput, ...]:
-    """The styles in the order of their flags, or their mixtures; if one has a place, all are one :class:`Places`."""
+    """The styles in the order of their flags, or their mixtures, or one :class:`Places` of all."""
     given = [_by_place(word, kind) for kind, word in arguments.styles]
     for kind, word in arguments.styles:
         if kind is str:

@@ -119,7 +119,9 @@ class Result:
         for name in dict.fromkeys(["ply", *options.formats]):
             if not self.alike or name not in results.common_formats:
                 export_styles(scene, folder / f"scene.{name}", name, up=options.up)
-        untouched = options.up in (None, "opencv") and _same_geometry(gaussians, results.restyler.unstyled)
+        geometry = ("means", "rotations", "scales", "opacities")
+        unchanged = (torch.equal(getattr(gaussians, n), getattr(results.restyler.unstyled, n)) for n in geometry)
+        untouched = options.up in (None, "opencv") and all(unchanged)
         if encoded.splat is not None and encoded.splat.suffix.lower() == written.suffix and untouched:
             # A trip through float32 logarithms and back moves the last bits.
             ply.recolor(encoded.splat, gaussians.harmonics[0], written)
@@ -138,10 +140,9 @@ class Result:
 
     def _write_renders(self, folder: Path, names: Sequence[str], cameras: Cameras) -> list[Image.Image]:
         folder.mkdir()
-        renders: list[Image.Image] = []
-        for name, image in zip(names, self.render(cameras), strict=True):
-            renders.append(to_pil(image))
-            save_png(renders[-1], folder / f"{name}.png")
+        renders = [to_pil(image) for image in self.render(cameras)]
+        for name, image in zip(names, renders, strict=True):
+            save_png(image, folder / f"{name}.png")
         return renders
 
 
@@ -313,9 +314,3 @@ def _again(request: Request, model: LoadedModel) -> list[str] | None:
         return [re.sub(r"(^|=)/(?:.*/)?([^/]+)$", r"\1\2", word) for word in request.args()] if model.named else None
     except UserError:
         return None
-
-
-def _same_geometry(first: Gaussians, second: Gaussians) -> bool:
-    """Whether two scenes differ in nothing but colours."""
-    names = ("means", "rotations", "scales", "opacities")
-    return all(torch.equal(getattr(first, name), getattr(second, name)) for name in names)

@@ -1,7 +1,7 @@
 """The files of a scene besides renders, and reading them back: a folder of results, or a file of Gaussians."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated
@@ -192,7 +192,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
             notes = (*notes, note("scene", [path]))
         return replace(scene, notes=notes, up=up or scene.up)
     if not (path / "report.json").is_file():
-        raise UserError(f"{path} has no scene that anystyle stylize wrote, and is no file of a format that is read")
+        raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
     whole = _report(path)
     # A folder may hold results of earlier runs beside those that its report is of.
     folders = [path] if isinstance(whole.style, str) else sorted(file.parent for file in path.glob("*/report.json"))
@@ -206,7 +206,10 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     first, report = next(iter(reports.items()))
     cameras, names = _cameras(first / "cameras.json")
-    return StyledScene(tuple(styles), cameras, names, tuple(_notes(report, whole)), offset=whole.offset)
+    made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
+    lines = (made, *weights.license_lines(report.licenses), *report.notes)
+    notes = (*lines, *(MADE_OF + json.dumps(table) for table in whole.provenance))
+    return StyledScene(tuple(styles), cameras, names, notes, offset=whole.offset)
 
 
 def _report(folder: Path) -> SavedReport:
@@ -237,9 +240,3 @@ def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
     poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
     intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
     return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
-
-
-def _notes(report: SavedReport, whole: SavedReport) -> Iterator[str]:
-    yield f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
-    yield from (*weights.license_lines(report.licenses), *report.notes)
-    yield from (MADE_OF + json.dumps(table) for table in whole.provenance)

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
+import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.data.folder import covering
@@ -98,9 +98,14 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
 
     Middle and radius are medians weighted by opacity, so that a few floaters far away move neither.
     """
-    means, weights = gaussians.means[0], gaussians.opacities[0]
-    middle = torch.stack([_weighted_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
-    radius = _weighted_quantile((means - middle).norm(dim=1), weights, 0.8)
+    means, weights = gaussians.means[0], gaussians.opacities[0].double().cpu().numpy()
+
+    def quantile(values: Tensor, fraction: float) -> Tensor:
+        data = values.cpu().numpy()
+        return means.new_tensor(np.quantile(data, fraction, axis=0, weights=weights, method="inverted_cdf"))
+
+    middle = quantile(means, 0.5)
+    radius = quantile((means - middle).norm(dim=1), 0.8)
     turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
     rise = torch.deg2rad(torch.tensor(ELEVATIONS))[torch.arange(number) % len(ELEVATIONS)]
     towards = torch.stack([rise.cos() * turn.cos(), -rise.sin(), rise.cos() * turn.sin()], dim=1).to(means)
@@ -109,13 +114,6 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
     return Cameras(
         look_at(eye, middle.expand_as(eye))[None], intrinsics.expand(1, number, 3, 3).to(means), (side, side)
     )
-
-
-def _weighted_quantile(values: Float[Tensor, " N"], weights: Float[Tensor, " N"], fraction: float) -> Tensor:
-    order = values.argsort()
-    total = weights[order].double().cumsum(0)
-    index = int(torch.searchsorted(total, fraction * total[-1]))
-    return values[order[min(index, len(order) - 1)]]
 
 
 @torch.no_grad()

@@ -94,7 +94,7 @@ class EmbeddedStyle:
 
 
 def check_text(text: str, what: str = "the text of a style") -> None:
-    """Raise a UserError for a description that is empty or longer than :data:`MAX_TEXT`."""
+    """Refuse a description that is empty or longer than :data:`MAX_TEXT`."""
     if not text.strip():
         raise UserError(f"{what} is empty; say what the result should look like")
     if len(text) > MAX_TEXT:
@@ -104,17 +104,14 @@ def check_text(text: str, what: str = "the text of a style") -> None:
 def check_styles(styles: Sequence[StyleInput]) -> None:
     """Refuse texts that are empty and image files that are not there or no images, before networks are loaded."""
     for style in styles:
-        match style:
-            case str():
-                check_text(style)
-            case Path():
-                image_size(resolved(style))
-            case Mixture():
-                check_styles([style.first, style.second])
-            case Places():
-                check_styles([part for part, _ in style.styles])
-            case _:
-                pass
+        if isinstance(style, str):
+            check_text(style)
+        elif isinstance(style, Path):
+            image_size(resolved(style))
+        elif isinstance(style, Mixture):
+            check_styles([style.first, style.second])
+        elif isinstance(style, Places):
+            check_styles([part for part, _ in style.styles])
 
 
 def embed_styles(
@@ -172,9 +169,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
 
 def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
     match = stylizer.style_encoder.match_text(text)
-    if match is None:
-        return ()
-    if match.unknown_words:
+    if match is not None and match.unknown_words:
         _log.warning(
             "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)%s",
             text,
@@ -183,7 +178,7 @@ def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
             match.similarity,
             match.remedy and f"; {match.remedy}",
         )
-    return (match,)
+    return () if match is None else (match,)
 
 
 def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedStyle:

@@ -104,7 +104,7 @@ class Geometry(Value):
     Args:
         cameras: The predicted cameras, for the input views' size.
         depth: As the backbone defines it and its adapter reads it, in the scene's units.
-        confidence: Of the depth, at least 0; larger is surer.
+        confidence: Confidence of the depth, at least 0; larger is surer.
     """
 
     cameras: Cameras
@@ -137,7 +137,7 @@ class Geometry(Value):
 
 @dataclass(frozen=True)
 class Attributes(Value):
-    """Raw outputs of a Gaussian head, one Gaussian a pixel, before any activation.
+    """Raw outputs of a Gaussian head, one Gaussian per pixel, before any activation.
 
     Args:
         opacity: Logits.

@@ -109,7 +109,7 @@ def _flatten(value: Any) -> tuple[list[Any], tuple[str, ...]]:
 
 
 def _unflatten(cls: type, children: Any, names: Any) -> Any:
-    # Not through the constructor: a pytree may hold leaves that are no tensors for a while.
+    # Not through the constructor: a pytree may hold other leaves than tensors for a while.
     value = object.__new__(cls)
     for name, child in zip(names, children, strict=True):
         object.__setattr__(value, name, child)

@@ -56,7 +56,7 @@ class Views(Given):
         images: sRGB in [0, 1].
         cameras: Where they are known.
         depth: Distance along the camera's z axis, where it is known; 0 where a pixel has none.
-        names: One a view, the same for every scene of the batch; may be empty.
+        names: One per view, the same for every scene of the batch; may be empty.
         alpha: How much of a pixel is covered, in [0, 1]: where it is 0, nothing is there. The images are over white.
             ``None`` is 1 everywhere.
         counted: Where a photograph is to be learnt from; elsewhere it shows what is not part of the scene, such as
@@ -91,9 +91,9 @@ class Style(Given):
 
     Args:
         image: sRGB in [0, 1]; undefined where ``has_image`` is false.
-        text: One description a scene; an empty one means there is none.
+        text: One description per scene; an empty one means there is none.
         has_image: Which rows of ``image`` hold one; ``None`` means all.
-        names: One a style; may be empty.
+        names: One per style; may be empty.
     """
 
     image: Float[Tensor, "B 3 h w"] | None = None
