@@ -27,39 +27,33 @@ if TYPE_CHECKING:
     from anystyle.stylizer import Stylizer
     from anystyle.training.run import train
 
-_MODULES = {"types": "anystyle.types", "weights": "anystyle.pipeline.weights"}
 _HOMES = {
-    "Controls": "anystyle.pipeline.controls",
-    "ExportOptions": "anystyle.pipeline.options",
-    "Mixture": "anystyle.pipeline.styles",
-    "Places": "anystyle.pipeline.styles",
-    "PoseOptions": "anystyle.pipeline.options",
-    "Request": "anystyle.pipeline.request",
-    "SplatOptions": "anystyle.pipeline.options",
-    "Stylizer": "anystyle.stylizer",
-    "ViewOptions": "anystyle.pipeline.options",
-    "build": "anystyle.registry.build",
-    "catalog": "anystyle.registry.catalog",
-    "evaluate": "anystyle.evaluation.run",
-    "load": "anystyle.pipeline.load",
-    "plugin": "anystyle.registry.catalog",
-    "read_image": "anystyle.data.images",
-    "stylize": "anystyle.pipeline.stylize",
-    "train": "anystyle.training.run",
+    "data.images": ("read_image",),
+    "evaluation.run": ("evaluate",),
+    "pipeline.controls": ("Controls",),
+    "pipeline.load": ("load",),
+    "pipeline.options": ("ExportOptions", "PoseOptions", "SplatOptions", "ViewOptions"),
+    "pipeline.request": ("Request",),
+    "pipeline.styles": ("Mixture", "Places"),
+    "pipeline.stylize": ("stylize",),
+    "registry.build": ("build",),
+    "registry.catalog": ("catalog", "plugin"),
+    "stylizer": ("Stylizer",),
+    "training.run": ("train",),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return importlib.import_module(_MODULES[name])
+    if name in ("types", "weights"):
+        return importlib.import_module("anystyle.types" if name == "types" else "anystyle.pipeline.weights")
     if name == "__version__":
         from importlib.metadata import version
 
         return version("anystyle")
-    if name in _HOMES:
-        value = getattr(importlib.import_module(_HOMES[name]), name)
-        globals()[name] = value
-        return value
+    for home, names in _HOMES.items():
+        if name in names:
+            globals()[name] = value = getattr(importlib.import_module(f"anystyle.{home}"), name)
+            return value
     if name == "VideoOptions":
         raise AttributeError("VideoOptions is gone: give stylize a mapping, such as video={'frames': 48}")
     raise AttributeError(f"module 'anystyle' has no attribute {name!r}")

@@ -37,12 +37,7 @@ class Stylizer(nn.Module):
     """
 
     def __init__(
-        self,
-        *,
-        backbone: Backbone,
-        style_encoder: StyleEncoder,
-        branch: StyleBranch,
-        renderer: Renderer,
+        self, *, backbone: Backbone, style_encoder: StyleEncoder, branch: StyleBranch, renderer: Renderer
     ) -> None:
         super().__init__()
         self.backbone = backbone.freeze()
@@ -97,7 +92,7 @@ class Stylizer(nn.Module):
         """Embed styles given as texts or as images; :meth:`StyleEmbedding.toward` interpolates between two.
 
         Args:
-            text: One description, or one a style.
+            text: One description, or one per style.
             image: sRGB in [0, 1]; or what :func:`anystyle.read_image` reads.
 
         Raises:
@@ -219,5 +214,5 @@ def _paired(scene: Scene, embedding: StyleEmbedding) -> Scene:
     if scene.batch == num_styles:
         return scene
     if scene.batch != 1:
-        raise UserError(f"{scene.batch} scenes cannot take {num_styles} styles; give one style a scene, or one scene")
+        raise UserError(f"{scene.batch} scenes cannot take {num_styles} styles; give one style per scene, or one scene")
     return scene.expand(num_styles)

@@ -189,7 +189,7 @@ def fitted(path: Path, stylizer: Stylizer, short_side: int) -> Scene:
     poses, splat = PoseOptions("sfm"), SplatOptions()
     fit = build(Reconstruction, {"_target_": catalog().find("reconstruction", "fit").path, "holdout": 0})
     capture = encode_inputs(path, stylizer, views, poses, splat, fit, Stages())
-    return capture.capture.groups[0].scene
+    return capture.groups[0].scene
 
 
 def read_capture(path: Path, short_side: int, multiple: int) -> Views:

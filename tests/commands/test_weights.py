@@ -5,7 +5,6 @@ import datetime
 import functools
 import re
 from collections import OrderedDict
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,38 +18,30 @@ from anystyle.pipeline.weights import load_reference
 from anystyle.vision import weights
 from tests.support.weights_cases import small_checkpoint
 
-Cli = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+def cli(capsys):
     """Runs ``anystyle weights`` with words; returns exit status, output and error output."""
 
-    def call(*words: object) -> tuple[int, str, str]:
+    def call(*words):
+        status = 0
         try:
             run(lambda: command.main([str(word) for word in words]))
         except SystemExit as left:
             status = left.code
-        else:
-            status = 0
-        out, err = capsys.readouterr()
-        assert isinstance(status, int)
-        return status, out, err
+        return (status, *capsys.readouterr())
 
     return call
 
 
-def refused(cli: Cli, *words: object, told: str) -> None:
+def refused(cli, *words: object, told: str):
     status, _, err = cli(*words)
     assert status == 2
     assert re.search(told, err), err
     assert err.count("\n") == 1 and "Traceback" not in err
 
 
-# The table
-
-
-def test_the_table_says_all_of_every_file(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_table_says_all_of_every_file(cli, tmp_path, monkeypatch):
     monkeypatch.setenv(weights.FOLDERS, str(tmp_path))
     (tmp_path / "longclip-B-32.pt").write_bytes(b"here")
     status, out, _ = cli()
@@ -69,17 +60,14 @@ def test_the_table_says_all_of_every_file(cli: Cli, tmp_path: Path, monkeypatch:
     assert "ANYSTYLE_WEIGHTS" in out
 
 
-def test_rows_are_chosen_by_name(cli: Cli) -> None:
+def test_rows_are_chosen_by_name(cli):
     status, out, _ = cli("list", "vgg19")
     assert status == 0 and out.startswith("vgg19: ") and "alexnet" not in out
     refused(cli, "list", "vg19", told=r"is named 'vg19'\. Did you mean 'vgg19'\?")
     refused(cli, "verfy", told=r"Did you mean 'verify'\?")
 
 
-# Judging a file
-
-
-def test_what_a_file_holds(cli: Cli, tmp_path: Path) -> None:
+def test_what_a_file_holds(cli, tmp_path):
     save_file(small_checkpoint("head"), tmp_path / "it.safetensors")
     status, out, err = cli("verify", tmp_path / "it.safetensors")
     assert status == 0, err
@@ -90,7 +78,7 @@ def test_what_a_file_holds(cli: Cli, tmp_path: Path) -> None:
     refused(cli, "verify", tmp_path / "nan.safetensors", told="is damaged: a holds values")
 
 
-def test_plain_objects_beside_the_tensors_are_passed_over(cli: Cli, tmp_path: Path) -> None:
+def test_plain_objects_beside_the_tensors_are_passed_over(cli, tmp_path):
     state = small_checkpoint("head")
     beside = {
         "callbacks": {"ModelCheckpoint": {"dirpath": tmp_path, "best_model_score": np.float64(0.5), "seen": {1, 2}}},
@@ -105,7 +93,7 @@ def test_plain_objects_beside_the_tensors_are_passed_over(cli: Cli, tmp_path: Pa
     assert read.keys() == state.keys() and all(torch.equal(read[key], tensor) for key, tensor in state.items())
 
 
-def evil(path: Path) -> None:
+def evil(path: Path):
     class Evil:
         def __reduce__(self) -> tuple:
             return (print, ("EXECUTED",))
@@ -113,21 +101,21 @@ def evil(path: Path) -> None:
     torch.save({"state_dict": small_checkpoint("head"), "callbacks": Evil()}, path)
 
 
-def truncated(path: Path) -> None:
+def truncated(path: Path):
     torch.save(small_checkpoint("head"), path)
     path.write_bytes(path.read_bytes()[:20000])
 
 
-def truncated_safetensors(path: Path) -> None:
+def truncated_safetensors(path: Path):
     save_file(small_checkpoint("head"), path)
     path.write_bytes(path.read_bytes()[:-5000])
 
 
-def script(path: Path) -> None:
+def script(path: Path):
     torch.jit.save(torch.jit.trace(torch.nn.Linear(2, 2), torch.zeros(1, 2)), path)
 
 
-def no_tensors(path: Path) -> None:
+def no_tensors(path: Path):
     torch.save({"state_dict": {"a": 3}}, path)
 
 
@@ -136,11 +124,13 @@ BAD = [
     (truncated, "bad.pt", "is truncated or no file of weights"),
     (truncated_safetensors, "bad.safetensors", "is truncated or no file of weights"),
     (no_tensors, "bad.pt", "holds no plain state dict"),
+    (script, "clip.pt", "TorchScript program; get the state dict"),
 ]
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize(("make", "name", "told"), BAD, ids=[make.__name__ for make, *_ in BAD])
-def test_bad_files_end_in_one_line(cli: Cli, tmp_path: Path, make: Callable, name: str, told: str) -> None:
+def test_bad_files_end_in_one_line(cli, tmp_path, make, name, told):
     make(tmp_path / name)
     refused(cli, "verify", tmp_path / name, told=told)
     with pytest.raises(ValueError) as caught:
@@ -148,29 +138,16 @@ def test_bad_files_end_in_one_line(cli: Cli, tmp_path: Path, make: Callable, nam
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_program_is_no_file_of_weights(cli: Cli, tmp_path: Path) -> None:
-    script(tmp_path / "clip.pt")
-    refused(cli, "verify", tmp_path / "clip.pt", told="TorchScript program; get the state dict")
-
-
-def test_another_content_than_the_published_is_refused(cli: Cli, tmp_path: Path) -> None:
+def test_another_content_than_the_published_is_refused(cli, tmp_path):
     save_file({"features.34.weight": torch.zeros(512, 512, 3, 3)}, tmp_path / "vgg19.safetensors")
     (tmp_path / "vgg19.safetensors").rename(tmp_path / "vgg19-dcbb9e9d.pth")
     refused(cli, "verify", tmp_path / "vgg19-dcbb9e9d.pth", told=r"the published vgg19 dcbb9e9d…; get it again")
     refused(cli, "verify", tmp_path / "nowhere.pt", told=r"there is no file .*nowhere\.pt")
 
 
-# Downloading
-
-
-def test_what_no_hub_has_says_where_to_get_it(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_no_hub_has_says_where_to_get_it(cli, tmp_path, monkeypatch):
     monkeypatch.setenv(weights.FOLDERS, str(tmp_path))
-    refused(
-        cli,
-        "download",
-        "anystyle_head",
-        told=r"from https://zenodo\.org/records/18816747 .* put it as anystyle_head\.ckpt",
-    )
+    told = r"from https://zenodo\.org/records/18816747 .* put it as anystyle_head\.ckpt"
+    refused(cli, "download", "anystyle_head", told=told)
     status, out, _ = cli("download", "tiny_branch")
     assert status == 0 and Path(out.strip()) == weights.find("tiny_branch")

@@ -20,13 +20,13 @@ from anystyle.geometry.harmonics import colors, constant_from_rgb
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
 from anystyle.pipeline.masks import Alike, Box, Photographs, Sphere, inside, mask_files, parsed
 from anystyle.pipeline.request import Request
+from anystyle.pipeline.saved import read_gaussians
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Original
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from tests.support.cards import World, arc
 
 VIEWS = ViewOptions(short_side=56, take=3)
-VIDEO = {"frames": 2, "scale": 0.5}
 
 
 def gaussians_of(count=40, coefficients=4, seed=0):
@@ -120,9 +120,7 @@ def test_what_looks_alike_is_near_and_of_one_color():
     colors = torch.where(places[:, None] < 0.5, torch.tensor([0.9, 0.1, 0.1]), torch.tensor([0.1, 0.1, 0.9]))
     colors[3] += torch.tensor([0.05, 0.0, 0.0])  # not quite the same red
     gaussians = replace(
-        gaussians,
-        means=F.pad(places[None, :, None], (0, 2)),
-        harmonics=constant_from_rgb(colors)[None, :, None],
+        gaussians, means=F.pad(places[None, :, None], (0, 2)), harmonics=constant_from_rgb(colors)[None, :, None]
     )
     shown = SeenScene([], Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (2, 2)), TorchRenderer())
     everywhere = Alike((0.0, 0.0, 0.0), radius=10.0, tolerance=0.2).weights(gaussians, shown)[0]
@@ -183,17 +181,14 @@ def test_a_mask_follows_the_photograph_that_is_made_straight(tmp_path):
         assert errors[0] < 0.04 and errors[1] > 2 * errors[0]
 
 
-@pytest.mark.parametrize("word", ["nowhere", "sphere:1,2,3", "sphere:1,2,3,-1", "box:1,2,3,0,0,0", "sphere:a,b,c,d"])
-def test_what_is_no_mask_is_refused(word):
-    with pytest.raises(ValueError, match="mask"):
-        parsed(word)
-
-
 def test_words_become_masks(tmp_path):
     assert parsed("sphere:1,2,3,0.5,soft=0.1") == Sphere((1.0, 2.0, 3.0), 0.5, 0.1)
     assert parsed("box:0,0,0,1,2,3") == Box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
     assert parsed("like:1,2,3,0.5,0.2,soft=0.1") == Alike((1.0, 2.0, 3.0), 0.5, 0.2, 0.1)
     assert parsed(f"{tmp_path},soft=0") == Photographs(tmp_path, 0.0)
+    for word in ("nowhere", "sphere:1,2,3", "sphere:1,2,3,-1", "box:1,2,3,0,0,0", "sphere:a,b,c,d", "like:1,2,3,4"):
+        with pytest.raises(ValueError, match="mask"):
+            parsed(word)
 
 
 def test_flags_become_every_combination():
@@ -206,20 +201,16 @@ def test_flags_become_every_combination():
             Request.from_args(words)
 
 
-def test_strength_zero_is_the_unstyled_scene_bit_for_bit_and_a_list_is_a_strip(photographs, tmp_path):
-    words = ["views.short_side=56", "views.take=3", "video.frames=2", "video.scale=0.5"]
-    stylize.main([str(photographs), "--text", "dots", "--strength", "0,0.5,1", "--out",
-                                        str(tmp_path / "out"), *words])  # fmt: skip
-    results = anystyle.stylize(photographs, "dots", views=VIEWS, video=VIDEO)
-    results.restyler.unstyled.save(tmp_path / "unstyled.ply")
-    results[0].gaussians.save(tmp_path / "styled.ply")
-    folders = sorted(path for path in (tmp_path / "out").iterdir() if path.is_dir())
+def test_strengths_are_a_strip_from_the_unstyled_scene_on(photographs, tmp_path):
+    words = ["views.short_side=56", "views.take=2", "video.frames=2", "video.scale=0.5", "--strength", "0,0.5,1"]
+    stylize.main([str(photographs), "--text", "dots", "--out", str(tmp_path), *words])
+    folders = sorted(path for path in tmp_path.iterdir() if path.is_dir())
     assert [folder.name for folder in folders] == ["01-dots_strength-0", "02-dots_strength-0-5", "03-dots"]
-    for folder, name in ((folders[0], "unstyled.ply"), (folders[2], "styled.ply")):
-        # Headers differ: that of a result names its style and licences.
-        numbers = [path.read_bytes().partition(b"end_header\n")[2] for path in (folder / "scene.ply", tmp_path / name)]
-        assert numbers[0] == numbers[1] != b""
-    with Image.open(tmp_path / "out" / "sheet.png") as sheet:
+    files = [tmp_path / "unstyled.safetensors", *(folder / "scene.safetensors" for folder in folders)]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    unstyled, _, middle, styled = map(read_gaussians, files)
+    assert torch.equal(middle.harmonics, blended(unstyled, styled, 0.5).harmonics)
+    with Image.open(tmp_path / "sheet.png") as sheet:
         assert sheet.width > 5 * 220  # the photograph, the unstyled scene, and three strengths
 
 
@@ -262,7 +253,7 @@ def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog)
         (("dots", Controls(attributes=("color",))), ("hatching", Controls(attributes=("rotation",))))
     )
     results = anystyle.stylize(photographs, styles, model=stylizer, reconstruction="feedforward", views=VIEWS)
-    ((scene, encoded),) = [(result.gaussians, results.restyler.encoded.capture) for result in results]
+    ((scene, encoded),) = [(result.gaussians, results.restyler.encoded) for result in results]
 
     def both(scene):
         attributes = scene.attributes
@@ -287,11 +278,7 @@ def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
     words = ["photos", "--text", "dots@sphere:0,0,1,0.5,soft=0.1", "--text", "me@home", "--image", "a@b.jpg@masks"]
     (places,) = Request.from_args(words).styles
     assert places == anystyle.Places(
-        (
-            ("me@home", None),
-            ("dots", Sphere((0.0, 0.0, 1.0), 0.5, 0.1)),
-            (Path("a@b.jpg"), Photographs(Path("masks"))),
-        )
+        (("me@home", None), ("dots", Sphere((0.0, 0.0, 1.0), 0.5, 0.1)), (Path("a@b.jpg"), Photographs(Path("masks"))))
     )
     assert Request.from_args(["photos", "--image", "a@b.jpg"]).styles == (Path("a@b.jpg"),)
     words = ["photos", "--text", "dots@color", "--text", "you@masks@rotation+scale", "--image", "a@b.jpg@scale@masks"]

@@ -8,8 +8,7 @@ import torch
 
 from anystyle.geometry import harmonics
 from anystyle.geometry.transforms import Similarity, matrix_from_wxyz
-from anystyle.pipeline.cameras import with_cameras
-from anystyle.pipeline.groups import encode_groups, split
+from anystyle.pipeline.encode import Group, cameras_of, encode_groups, split, with_cameras
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.types import Gaussians, Geometry, Scene, Views
 
@@ -74,7 +73,7 @@ def test_one_group_is_the_single_pass_bit_for_bit():
     with torch.no_grad():
         capture = encode_groups(backbone.encode, views(3), size=4)
         scene = backbone.encode(views(3))
-        whole = capture.gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, one.clusters))
+        whole = capture[0].gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, one.clusters))
         alone = backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
     assert torch.equal(whole.means, alone.means) and torch.equal(whole.harmonics, alone.harmonics)
 
@@ -101,33 +100,32 @@ def test_a_group_in_another_frame_and_unit_is_brought_back():
         return Scene(some, whole.stem, whole.features, geometry, attributes, None)
 
     capture = encode_groups(encode, views(6), size=4, overlap=2)
-    assert [group.num_new for group in capture.groups] == [4, 2]
-    result, expected = capture.groups[1].capture_from_group, other.inverse()
+    assert [group.num_new for group in capture] == [4, 2]
+    result, expected = capture[1].capture_from_group, other.inverse()
     assert result is not None
     torch.testing.assert_close(result.rotation, expected.rotation, atol=1e-5, rtol=0)
     torch.testing.assert_close(result.scale, expected.scale)
-    torch.testing.assert_close(capture.cameras.world_from_camera, whole.cameras.world_from_camera, atol=1e-4, rtol=1e-4)
+    brought, predicted = (cameras.world_from_camera for cameras in (cameras_of(capture), whole.cameras))
+    torch.testing.assert_close(brought, predicted, atol=1e-4, rtol=1e-4)
     with torch.no_grad():
-        gaussians = capture.gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, None))
-    assert gaussians.means.shape[1] == 6 * 16 * 16
+        counts = [
+            group.gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, None)).means.shape[1]
+            for group in capture
+        ]
+    assert sum(counts) == 6 * 16 * 16
 
 
 def test_known_cameras_come_back_in_their_own_frame():
     backbone = ToyBackbone().eval()
     with torch.no_grad():
-        capture = encode_groups(backbone.encode, views(4), size=None)
-        predicted = capture.cameras
-        spread = predicted.world_from_camera.clone()
+        scene = backbone.encode(views(4))
+        spread = scene.cameras.world_from_camera.clone()
         spread[0, :, :3, 3] += torch.arange(4.0)[:, None] * torch.tensor([0.1, 0.02, 0.0])
-        scene = capture.groups[0].scene
-        moved_apart = type(predicted)(spread, predicted.intrinsics, predicted.size)
-        geometry = type(scene.geometry)(moved_apart, scene.geometry.depth, scene.geometry.confidence)
-        scene = type(scene)(scene.views, scene.stem, scene.features, geometry, scene.attributes, scene.clusters)
-        capture = type(capture)((type(capture.groups[0])(scene, (0, 1, 2, 3), None, 4),))
-        known = type(predicted)(change().poses(spread[0])[None], predicted.intrinsics, predicted.size)
-        placed, way = with_cameras(capture, known, backbone.adapter)
-    torch.testing.assert_close(placed.cameras.world_from_camera, spread, atol=1e-4, rtol=1e-3)
+        moved_apart = replace(scene.cameras, world_from_camera=spread)
+        groups = Group.whole(replace(scene, geometry=replace(scene.geometry, cameras=moved_apart)))
+        known = replace(moved_apart, world_from_camera=change().poses(spread[0])[None])
+        placed, way = with_cameras(groups, known, backbone.adapter)
+    torch.testing.assert_close(cameras_of(placed).world_from_camera, spread, atol=1e-4, rtol=1e-3)
     torch.testing.assert_close(way.scale, 1 / change().scale, atol=1e-4, rtol=1e-4)
-    flipped = type(predicted)(known.world_from_camera[:, [3, 2, 1, 0]], known.intrinsics, known.size)
     with pytest.raises(ValueError, match="do not match the images"):
-        with_cameras(capture, flipped, backbone.adapter)
+        with_cameras(groups, known.select([3, 2, 1, 0]), backbone.adapter)

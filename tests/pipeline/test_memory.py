@@ -12,7 +12,7 @@ from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.pairing import pair
 from anystyle.io import limits, ply
 from anystyle.io.video import read_frames, write_video
-from anystyle.pipeline import memory
+from anystyle.pipeline import encode, memory
 from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose
 from anystyle.testing.toy.backbone import ToyBackbone
@@ -37,15 +37,15 @@ def test_encoding_grows_linearly_and_too_many_views_are_refused_before_anything_
     estimate = memory.encoding(backbone, (32, 32))
     assert estimate is not None and estimate[1] > 32 * 32 * 3 * 4
     needed = estimate[0] + 10 * estimate[1]
-    monkeypatch.setattr(memory, "available", lambda device: int(needed / memory.USABLE) + 1)
-    memory.require_encoding(backbone, 9, (32, 32), torch.device("cpu"))
+    monkeypatch.setattr(encode, "available", lambda device: int(needed / limits.USABLE) + 1)
+    encode.require_encoding(backbone, 9, (32, 32), torch.device("cpu"))
     with pytest.raises(ValueError, match=r"12 views of 32x32: this takes .* set views.max_views=(9|10) "):
-        memory.require_encoding(backbone, 12, (32, 32), torch.device("cpu"))
+        encode.require_encoding(backbone, 12, (32, 32), torch.device("cpu"))
     looked = []
     monkeypatch.setattr(memory, "encoding", lambda *given: looked.append(given))
-    monkeypatch.setattr(memory, "available", lambda device: 10 * 32 * 32 * memory.PLENTY)
+    monkeypatch.setattr(encode, "available", lambda device: 10 * 32 * 32 * encode.PLENTY)
     for views, times in ((9, 0), (10, 1)):
-        memory.require_encoding(ToyBackbone(), views, (32, 32), torch.device("cpu"))
+        encode.require_encoding(ToyBackbone(), views, (32, 32), torch.device("cpu"))
         assert len(looked) == times
 
 
@@ -55,13 +55,7 @@ def test_without_values_there_is_no_estimate_and_the_log_says_why(look, caplog, 
     monkeypatch.setattr(backbone.aggregator, "forward", lambda stem: look(stem.data))
     assert memory.encoding(backbone, (32, 32)) is None
     assert "cannot run on tensors without values" in caplog.text
-    memory.require_encoding(backbone, 10**6, (32, 32), torch.device("cpu"))
-
-
-def test_free_memory_is_known_here():
-    free = memory.available(torch.device("cpu"))
-    assert free is not None and 0 < free < 1 << 50
-    assert memory.available(torch.device("meta")) is None
+    encode.require_encoding(backbone, 10**6, (32, 32), torch.device("cpu"))
 
 
 def test_what_a_limit_leaves_is_what_is_free():

@@ -8,7 +8,6 @@ import torch
 
 import anystyle
 from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
-from anystyle.commands import stylize
 from anystyle.errors import UserError
 
 ARGS = [
@@ -66,25 +65,16 @@ def test_what_has_no_command_line_is_told(request_):
         (["photos/", "--text", "ink", "--export", "html", "export.formats=[spz]"], "formats are named twice"),
         (["--text", "ink", "-m"], "-m is a flag of Hydra"),
         (["--again", "missing.json"], "missing.json"),
+        (["--text", "  "], "--text is empty"),
+        (["--text", "x" * 10000], "has 10000 characters"),
+        (["--text", "a", "--mix", "0.5"], "exactly two styles"),
+        (["--text", "a", "--text", "b", "--mix", "1.5"], "between 0 and 1, not 1.5"),
+        (["--text", "a", "--text", "b", "--mix", "half"], "not 'half'"),
     ],
 )
 def test_arguments_that_make_no_sense_are_a_line(args, message):
     with pytest.raises(UserError, match=message):
         Request.from_args(args)
-
-
-def test_a_report_makes_its_result_again(photographs, tmp_path, monkeypatch):
-    monkeypatch.chdir(photographs.parent)  # a report names no folders above what it was given
-    args = ["--text", "dots", "--strength", "0.5", "views.short_side=56", "views.take=2", "video.frames=2", "seed=7"]
-    stylize.main([photographs.name, *args, "--out", str(tmp_path / "first")])
-    report = tmp_path / "first" / "report.json"
-    assert json.loads(report.read_text())["request"] == Request.from_args([photographs.name, *args]).args()
-    stylize.main(["--again", str(report), "--out", str(tmp_path / "second")])
-    files = [path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*") if path.is_file()]
-    assert len(files) > 6
-    for file in files:
-        if file.name != "report.json":  # it has times
-            assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes(), file
 
 
 def test_a_result_of_something_in_memory_has_no_request(photographs, tmp_path):

@@ -1,7 +1,6 @@
 """Running a command on a configuration composed by Hydra: once, or once for each combination of a multirun."""
 
 import argparse
-import contextlib
 import functools
 import os
 import sys
@@ -26,27 +25,13 @@ from anystyle.registry.packages import groups
 from anystyle.registry.source import register
 
 
-def main(
-    config_name: str,
-    function: Callable[..., Any],
-    parser: argparse.ArgumentParser | None = None,
-    words: Sequence[str] | None = None,
-) -> None:
-    """Run a command: parse its words, compose the configuration, call ``function``; user errors end in one line.
-
-    Args:
-        config_name: The configuration's root in ``conf/``.
-        function: Called with the configuration; with the flags as a second argument where there is a parser.
-        parser: The command's ordinary flags; every other word goes to Hydra.
-        words: Instead of the process's arguments.
-    """
+def main(config_name: str, function: Callable[[DictConfig], Any]) -> None:
+    """Run a command without flags of its own on the configuration that ``conf/config_name.yaml`` is the root of."""
 
     def command() -> None:
-        flags = parser or new_parser(config_name)
+        flags = new_parser(config_name)
         describe(flags)
-        arguments, rest = split(flags, words_of(words))
-        task = functools.partial(function, arguments=arguments) if parser else function
-        launch(config_name, functools.update_wrapper(lambda config: task(config), function), rest)
+        launch(config_name, function, split(flags, words_of(None))[1])
 
     run(command)
 
@@ -59,10 +44,19 @@ def describe(parser: argparse.ArgumentParser) -> None:
 
 
 def launch(
-    config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str], folder: Path | None = None
+    config_name: str,
+    function: Callable[[DictConfig], Any],
+    words: Sequence[str],
+    folder: Path | None = None,
+    out: str | None = None,
 ) -> None:
-    """Hand words to Hydra, which composes what is in ``folder`` (``conf/``) and calls ``function``, for each job."""
+    """Hand words to Hydra, which composes what is in ``folder`` (``conf/``) and calls ``function``, for each job.
+
+    The jobs of a multirun write into ``out`` where it is given.
+    """
     register()
+    if out is not None and {"-m", "--multirun"} & {*words}:
+        words = [override("hydra.sweep.dir", out), *words]
     check_words(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
         raise UserError(f"give only one of {', '.join(MODES)}")
@@ -112,15 +106,6 @@ def returned(objective: str | Sequence[str] | None, values: Mapping[str, float])
         if name not in values:
             raise UserError(f"objective: {unknown('value', name, values)}")
     return values[objective] if isinstance(objective, str) else [values[name] for name in objective]
-
-
-def with_sweep(parser: argparse.ArgumentParser, words: Sequence[str], *further: str) -> list[str]:
-    """The words, and for a multirun those that make it write into ``--out``, and further ones."""
-    with contextlib.suppress(UserError):  # raised again where the words are read for good
-        arguments, rest = split(parser, words)
-        if {"-m", "--multirun"} & set(rest):
-            return [*words, override("hydra.sweep.dir", arguments.out or "evaluation"), *further]
-    return list(words)
 
 
 def job_folder(out: str) -> Path:
@@ -179,20 +164,14 @@ def complete(commands: Iterable[str], words: Sequence[str]) -> None:
             typed in ``COMP_LINE``; likewise for zsh and fish.
     """
     names = list(commands)
+    configured = [name for name in names if (paths.CONF / f"{name}.yaml").is_file()]
+    command = configured[0]
     if any(word.startswith("query=") for word in words):
-        typed = os.environ.get(_LINE, "").split(" ")[1:]
-        command = typed[0] if typed else ""
+        typed = os.environ.get(_LINE, "").split(" ")[1:] or [""]
         if len(typed) < 2:
-            print(" ".join(name for name in names if name.startswith(command)))
+            print(" ".join(name for name in names if name.startswith(typed[0])))
             return
-        if command not in names or not (paths.CONF / f"{command}.yaml").is_file():
+        if (command := typed[0]) not in configured:
             return
         os.environ[_LINE] = " ".join(typed)
-        launch(command, _nothing, ["-sc", *words])
-    else:
-        configured = [name for name in names if (paths.CONF / f"{name}.yaml").is_file()]
-        launch(configured[0], _nothing, ["-sc", *words])
-
-
-def _nothing(config: object) -> None:
-    """Stands for the command, which completing does not run."""
+    launch(command, lambda config: None, ["-sc", *words])

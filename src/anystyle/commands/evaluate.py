@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from anystyle.cli.arguments import new_parser, split
-from anystyle.cli.launch import describe, job_folder, launch, returned, with_sweep
+from anystyle.cli.launch import describe, job_folder, launch, returned
 from anystyle.cli.progress import progress_lines
 from anystyle.cli.run import run, words_of
 from anystyle.evaluation import run as evaluation
@@ -53,13 +53,15 @@ def main(words: Sequence[str] | None = None) -> None:
     def command() -> None:
         flags = parser()
         describe(flags)
-        arguments, rest = split(flags, with_sweep(flags, words_of(words), "hydra.output_subdir=.hydra"))
+        arguments, rest = split(flags, words_of(words))
+        if {"-m", "--multirun"} & {*rest}:
+            rest = ["hydra.output_subdir=.hydra", *rest]
         given = {name: getattr(arguments, name) for name in FOLDERS if getattr(arguments, name) is not None}
         rest, out = completed(rest, given, arguments.trained), arguments.out
         folders = [None] if arguments.trained is None else trained_runs(Path(arguments.trained))
         for folder in folders:
             one = str(Path(out, folder.name)) if out is not None and folder and len(folders) > 1 else out
-            launch("evaluate", lambda config, out=one, folder=folder: job(config, out, folder), rest)
+            launch("evaluate", lambda config, out=one, folder=folder: job(config, out, folder), rest, out=out)
 
     run(command)
 

@@ -1,6 +1,5 @@
 """List the plugins, show one with its options, check one, or write a new one."""
 
-import argparse
 import importlib
 import inspect
 import re
@@ -17,32 +16,23 @@ from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named, kind
 from anystyle.registry.packages import presets
 from anystyle.registry.source_docs import peek
 
-SUBCOMMANDS = ("check", "new")
 
-
-def parser() -> argparse.ArgumentParser:
-    """The words of ``anystyle plugins``."""
-    words = new_parser(
+def main(words: Sequence[str] | None = None) -> None:
+    """Run ``anystyle plugins``."""
+    given = words_of(words)
+    if given and given[0] in ("check", "new"):
+        if status := importlib.import_module(f"anystyle.commands.plugins_{given[0]}").main(given[1:]):
+            sys.exit(status)
+        return
+    parser = new_parser(
         "plugins",
         "Without arguments, or with list: every plugin by name. With a KIND: what each is, and its "
         "options. With a NAME: one plugin in full; only this imports it.",
         epilog="anystyle plugins check KIND NAME checks a plugin; anystyle plugins new KIND NAME writes a new one.",
     )
-    words.add_argument("kind", nargs="?", help="one of: " + ", ".join(kinds()))
-    words.add_argument("name", nargs="?", help="a plugin of that kind")
-    return words
-
-
-def main(words: Sequence[str] | None = None) -> None:
-    """Run ``anystyle plugins``."""
-    given = words_of(words)
-    if given and given[0] in SUBCOMMANDS:
-        status: int = importlib.import_module(f"anystyle.commands.plugins_{given[0]}").main(given[1:])
-        if status:
-            sys.exit(status)
-        return
-    arguments = parse(parser(), [] if given == ["list"] else given)
-    known = catalog()
+    parser.add_argument("kind", nargs="?", help="one of: " + ", ".join(kinds()))
+    parser.add_argument("name", nargs="?", help="a plugin of that kind")
+    arguments, known = parse(parser, [] if given == ["list"] else given), catalog()
     if arguments.kind is None:
         lines = overview(known)
     elif arguments.name is None:
@@ -50,11 +40,6 @@ def main(words: Sequence[str] | None = None) -> None:
     else:
         lines = in_full(known.find(arguments.kind, arguments.name))
     print("\n".join(lines))
-
-
-def width() -> int:
-    """Columns of the output: those of the terminal, or 100 where there is none."""
-    return max(60, shutil.get_terminal_size((100, 24)).columns) if sys.stdout.isatty() else 100
 
 
 def overview(known: Catalog) -> Iterator[str]:
@@ -135,8 +120,9 @@ def arguments(function: object) -> dict[str, str]:
 
 def _hanging(lead: str, text: str, hang: int = 0) -> list[str]:
     indent = " " * (len(lead) + hang)
+    width = max(60, shutil.get_terminal_size((100, 24)).columns) if sys.stdout.isatty() else 100
     return textwrap.wrap(
-        text, width(), initial_indent=lead, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
+        text, width, initial_indent=lead, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
     ) or [lead.rstrip()]
 
 

@@ -1,6 +1,5 @@
 """Check a plugin against the contract of its kind, and report what is wrong."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 
@@ -9,21 +8,16 @@ from anystyle.cli.run import FAILED, run, words_of
 from anystyle.registry.catalog import catalog, kinds
 
 
-def parser() -> argparse.ArgumentParser:
-    """The words of ``anystyle plugins check``."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``anystyle plugins check``; returns the exit status."""
     words = new_parser(
         "plugins check",
-        "Run the contract of a plugin, installed or not: one line a promise, and for each that is broken what "
+        "Run the contract of a plugin, installed or not: one line per promise, and for each that is broken what "
         "was promised and what was found. Exit status 0 if all promises are kept, else 2.",
     )
     words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
     words.add_argument("name", metavar="NAME", help="a plugin of that kind")
-    return words
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``anystyle plugins check``; returns the exit status."""
-    arguments = parse(parser(), words_of(argv))
+    arguments = parse(words, words_of(argv))
     plugin = catalog().find(arguments.kind, arguments.name)
 
     from anystyle.testing import check

@@ -1,6 +1,5 @@
 """Begin a plugin: a folder with a class that works, its declaration, a test and a README."""
 
-import argparse
 import builtins
 import importlib.util
 import keyword
@@ -24,8 +23,8 @@ TEMPLATES = paths.PACKAGE / "commands" / "templates"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
-def parser() -> argparse.ArgumentParser:
-    """The words of ``anystyle plugins new``."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``anystyle plugins new``."""
     words = new_parser(
         "plugins new",
         "Write a folder with a small plugin that keeps its contract: a class, the line that declares it, a test "
@@ -34,16 +33,12 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
     words.add_argument("name", metavar="NAME", help="its name: a-z, 0-9 and '_'")
     words.add_argument("--into", metavar="DIR", type=Path, default=Path("plugins"), help="where (default: plugins)")
-    return words
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``anystyle plugins new``."""
-    arguments = parse(parser(), words_of(argv))
+    arguments = parse(words, words_of(argv))
     folder = write(arguments.kind, arguments.name, arguments.into)
     module = f"anystyle_{arguments.name}"
     print(f"wrote {folder}: {module}.py, pyproject.toml, test_{module}.py, README.md")
-    listed = arguments.into.resolve() == paths.PLUGINS.resolve() or str(arguments.into.absolute()) in _listed()
+    known = [paths.PLUGINS, *map(Path, filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))]
+    listed = arguments.into.resolve() in [each.resolve() for each in known]
     where = "" if listed else f"{VARIABLE}={arguments.into.absolute()} "
     print(f"next:  {where}anystyle plugins check {arguments.kind} {arguments.name}")
     return 0
@@ -129,10 +124,6 @@ def _use(kind: str, name: str) -> str:
 def _with_article(kind: str) -> str:
     words = kind.replace("_", " ")
     return f"an {words}" if words[0] in "aeiou" else f"a {words}"
-
-
-def _listed() -> list[str]:
-    return [str(Path(folder).absolute()) for folder in os.environ.get(VARIABLE, "").split(os.pathsep) if folder]
 
 
 if __name__ == "__main__":

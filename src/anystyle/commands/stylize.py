@@ -2,9 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from pathlib import Path
+from collections.abc import Sequence
 
 from omegaconf import DictConfig
 
@@ -15,7 +13,6 @@ from anystyle.pipeline.request import Request, parsed, parser
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import stylize
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import override
 from anystyle.registry.jobs import job_overrides
 from anystyle.types import Progress
 
@@ -27,9 +24,7 @@ def main(args: Sequence[str] | None = None) -> None:
         flags = parser()
         describe(flags)
         arguments, overrides = parsed(words_of(args), flags)
-        if {"-m", "--multirun"} & set(overrides):
-            overrides.append(override("hydra.sweep.dir", arguments.out))
-        launch("stylize", lambda config: job(config, arguments), overrides)
+        launch("stylize", lambda config: job(config, arguments), overrides, out=arguments.out)
 
     run(command)
 
@@ -38,11 +33,20 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Stylize as one composed configuration says, and print where the results are."""
     request = Request.of(arguments, job_overrides(), config)
     target = job_folder(arguments.out)
-    with ExitStack() as cleanup:
-        stages = Stages(reporter(target.with_name(f"{target.name}.progress.png"), cleanup))
+    thumbnail = target.with_name(f"{target.name}.progress.png")
+
+    def report(stage: str, progress: Progress) -> None:
+        print(f"{stage} {progress.line} …", file=sys.stderr, flush=True)
+        if progress.thumbnail is not None:
+            to_pil(progress.thumbnail).save(thumbnail)
+
+    stages = Stages(report)
+    try:
         results = stylize(request, out=target, stages=stages)
+    finally:
+        thumbnail.unlink(missing_ok=True)
     scenes = f"{len(results)} stylized scene{'s' if len(results) > 1 else ''}"
-    # Of the files of all styles, one that nothing reads back is a page to look at.
+    # Among the files of all styles, one that nothing reads back is a page to look at.
     formats = [(name, catalog().find("format", name).load()) for name in request.export.formats]
     pages = [target / f"scene.{name}" for name, kind in formats if kind.many_styles and not kind.reads]
     page = next((path for path in pages if path.is_file()), target / "sheet.png")
@@ -50,18 +54,6 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     print(f"{scenes} in {target} in {took}; look at {page}")
     if arguments.open:
         show(page.resolve().as_uri())
-
-
-def reporter(thumbnail: Path, cleanup: ExitStack) -> Callable[[str, Progress], None]:
-    """Prints stages to the standard error stream, and keeps the latest thumbnail in a file until ``cleanup``."""
-    cleanup.callback(thumbnail.unlink, missing_ok=True)
-
-    def report(stage: str, progress: Progress) -> None:
-        print(f"{stage} {progress.line} …", file=sys.stderr, flush=True)
-        if progress.thumbnail is not None:
-            to_pil(progress.thumbnail).save(thumbnail)
-
-    return report
 
 
 if __name__ == "__main__":

@@ -3,11 +3,11 @@
 1. :mod:`~anystyle.contracts.backbone`: the five parts of a feed-forward reconstruction network
 2. :mod:`~anystyle.contracts.style`: style encoders, and the injectors and placements by which style enters a network
 3. :mod:`~anystyle.contracts.cameras`: cameras that programs stored for photographs, and cameras that are estimated
-4. :mod:`~anystyle.contracts.scene`: renderers, reconstructions, and methods by which a scene takes a style
-5. :mod:`~anystyle.contracts.sources`: scenes and styles to learn from and to be judged on
-6. :mod:`~anystyle.contracts.scores`: losses, metrics and the correspondence of pixels
-7. :mod:`~anystyle.contracts.training` and :mod:`~anystyle.contracts.protocol`: what learns, and how it is judged
-8. :mod:`~anystyle.contracts.format` and :mod:`~anystyle.contracts.command`: files, and words of the command line
+4. :mod:`~anystyle.contracts.scene`: scenes and styles to learn from and to be judged on, reconstructions, methods by
+   which a scene takes a style, and renderers
+5. :mod:`~anystyle.contracts.scores`: losses, metrics and the correspondence of pixels
+6. :mod:`~anystyle.contracts.training` and :mod:`~anystyle.contracts.protocol`: what learns, and how it is judged
+7. :mod:`~anystyle.contracts.format` and :mod:`~anystyle.contracts.command`: files, and commands of the command line
 
 A plugin inherits from one of these classes, implements its abstract methods and is listed in one line of TOML.
 ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them, on an instance built
@@ -20,25 +20,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from anystyle.contracts.backbone import Adapter, Aggregator, Backbone, Embedder, GaussianHead, GeometryHead
-    from anystyle.contracts.cameras import (
-        CameraReader,
-        PosedViews,
-        PoseEstimator,
-        StoredCamera,
-        Undistortion,
-        Verdict,
-    )
+    from anystyle.contracts.cameras import CameraReader, PosedViews, PoseEstimator, StoredCamera, Undistortion, Verdict
     from anystyle.contracts.command import Command
     from anystyle.contracts.format import Format
     from anystyle.contracts.protocol import Evaluation, Protocol, Row
-    from anystyle.contracts.scene import Method, Reconstruction, Renderer
+    from anystyle.contracts.scene import Method, Reconstruction, Renderer, SceneSource, StyleSource
     from anystyle.contracts.scores import Correspondence, Loss, Metric
-    from anystyle.contracts.sources import SceneSource, StyleSource
     from anystyle.contracts.style import Injector, Placement, StyleEncoder, neutral_embedding
     from anystyle.contracts.training import BatchSource, Training
     from anystyle.registry.pluggable import Pluggable
 
-_MODULES = ("command", "protocol", "cameras", "sources", "backbone", "style", "scene", "scores", "format", "training")
+_MODULES = ("command", "backbone", "style", "scene", "scores", "format", "cameras", "protocol", "training")
 
 
 def __getattr__(name: str) -> Any:

@@ -20,9 +20,9 @@ class Undistortion(NamedTuple):
     """What removes the distortion of a lens."""
 
     apply: Callable[[Image.Image], Image.Image]
-    """Of an upright picture at any resolution."""
+    """Takes an upright picture at any resolution."""
     intrinsics: NDArray[np.float64]
-    """Of the picture that it returns, in pixels of the stored size."""
+    """Intrinsics of the picture that it returns, in pixels of the stored size."""
 
 
 @dataclass(frozen=True)
@@ -124,19 +124,13 @@ class PoseEstimator(Pluggable, ABC):
 
     @abstractmethod
     def __call__(
-        self,
-        originals: Sequence[Original],
-        *,
-        short_side: int,
-        multiple: int,
-        enlarge: bool,
-        on_progress: OnProgress,
+        self, originals: Sequence[Original], *, short_side: int, multiple: int, enlarge: bool, on_progress: OnProgress
     ) -> PosedViews | Verdict:
         """Estimate the cameras of one scene's photographs.
 
         Args:
             originals: The photographs; frames of a video have no path.
-            short_side: Of the views, in pixels; rounded to a multiple.
+            short_side: Shorter side of the views in pixels; rounded to a multiple.
             multiple: Both sides of the views are multiples of it.
             enlarge: Whether photographs smaller than ``short_side`` are enlarged.
             on_progress: Called every few seconds.

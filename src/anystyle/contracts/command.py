@@ -7,7 +7,7 @@ from anystyle.registry.pluggable import Pluggable
 
 
 class Command(Pluggable, ABC):
-    """A word of the command line, ``anystyle NAME ...``; the first line of its docstring is its description."""
+    """A command, ``anystyle NAME ...``; the first line of its docstring is its description."""
 
     @abstractmethod
     def __call__(self, words: Sequence[str]) -> None:

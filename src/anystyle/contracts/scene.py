@@ -1,4 +1,4 @@
-"""How a scene comes to be, takes a style, and is shown."""
+"""Where scenes and styles come from; how a scene comes to be, takes a style, and is shown."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -24,6 +24,40 @@ from anystyle.types import (
 
 if TYPE_CHECKING:
     from anystyle.stylizer import Stylizer
+
+
+class SceneSource(Pluggable, ABC):
+    """Scenes to learn from or to be judged on, read at random; all views of one scene have one size."""
+
+    runtime = ("resolution", "patch_size")
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """How many scenes there are."""
+
+    @abstractmethod
+    def name(self, scene: int) -> str:
+        """A name for a scene, unique within the source."""
+
+    @abstractmethod
+    def num_views(self, scene: int) -> int:
+        """How many views a scene has, in capture order."""
+
+    @abstractmethod
+    def read(self, scene: int, views: Sequence[int]) -> Views:
+        """Some views of one scene as a batch of one, on the CPU; nothing else is decoded."""
+
+
+class StyleSource(Pluggable, ABC):
+    """Styles to learn from or to be judged on, read at random; all images have one size."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """How many styles there are."""
+
+    @abstractmethod
+    def read(self, style: int) -> Style:
+        """One style as a batch of one, on the CPU."""
 
 
 class Renderer(Pluggable, ABC):

@@ -68,7 +68,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
         """Draw figures as other metrics of torchmetrics do; needs matplotlib (``pip install "anystyle[report]"``).
 
         Args:
-            val: What :meth:`compute` or a call returned, or a list of these, one a step; computed if not given.
+            val: What :meth:`compute` or a call returned, or a list of these, one per step; computed if not given.
             ax: Matplotlib's axes to draw on.
 
         Returns:

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 import lightning.pytorch as pl
 from torch import nn
 
-from anystyle.contracts.sources import SceneSource, StyleSource
+from anystyle.contracts.scene import SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.registry.pluggable import Pluggable
 from anystyle.types import Value

@@ -1,16 +1,23 @@
-"""Known cameras, and placing them in the frame of a scene."""
+"""Known cameras, such as those stored beside photographs, and placing them in the frame of a scene."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Adapter
+from anystyle.contracts import StoredCamera
+from anystyle.data.folder import covering, image_files, read_picture
+from anystyle.data.images import to_tensor
+from anystyle.data.names import short_names
+from anystyle.data.poses import read_poses, readers, view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity, similarity_of_cameras
-from anystyle.pipeline.groups import Capture
-from anystyle.types import Cameras
+from anystyle.types import Cameras, SourceImage, Views
+
+MAX_ASPECT_ERROR = 0.02
+"""A stored camera's image may differ by this fraction from the photograph's aspect."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +28,7 @@ class KnownCameras:
         views: Those of input views.
         indices: Which input view each of them belongs to.
         targets: Every stored camera, those of input views too.
-        names: Of the targets.
+        names: Names of the targets.
     """
 
     views: Cameras
@@ -59,28 +66,68 @@ def scene_from_known(known: Float[Tensor, "V 4 4"], predicted: Float[Tensor, "V 
     return similarity
 
 
-def with_cameras(capture: Capture, cameras: Cameras, adapter: Adapter) -> tuple[Capture, Similarity]:
-    """The capture with its predicted cameras replaced by known ones, and the similarity from their frame to its own.
-
-    Depth and Gaussians keep the unit that the network predicts in; the known cameras are brought there by the
-    similarity that fits the predicted ones best.
-    """
-    groups, similarities = [], []
-    for group in capture.groups:
-        known = cameras.select(list(group.views))
-        group_from_known = scene_from_known(known.world_from_camera[0], group.scene.cameras.world_from_camera[0])
-        similarities.append(group_from_known)
-        known = replace(known, world_from_camera=group_from_known.poses(known.world_from_camera))
-        geometry = replace(group.scene.geometry, cameras=known)
-        clusters = adapter.cluster(geometry, group.scene.attributes)
-        capture_from_group = similarities[0].after(group_from_known.inverse()) if groups else None
-        scene = replace(group.scene, geometry=geometry, clusters=clusters)
-        groups.append(replace(group, scene=scene, capture_from_group=capture_from_group))
-    return Capture(tuple(groups)), similarities[0]
-
-
 def from_views(cameras: Cameras | None, names: Sequence[str]) -> KnownCameras:
     """The cameras that a source of scenes stores for its views."""
     if cameras is None:
         raise UserError("this source knows no cameras of its scenes; use poses=predicted")
     return KnownCameras(cameras, tuple(range(len(names))), cameras, tuple(names))
+
+
+def from_files(
+    views: Views, sources: Sequence[SourceImage], folder: Path | None = None
+) -> tuple[Views, tuple[SourceImage, ...], KnownCameras]:
+    """The cameras stored beside photographs, and the views and sources undistorted where lenses distort them.
+
+    ``folder`` holds the cameras; the photographs' own folders and the ones above unless it is given.
+    """
+    stored = _stored({source.path.parent: None for source in sources if source.path is not None}, folder)
+    if not stored:
+        searched = f"in {folder}" if folder is not None else "beside the photographs"
+        expected = ", ".join(reader.expects for reader in readers())
+        raise UserError(f"no cameras are stored {searched}; expected one of: {expected}; or use poses=predicted")
+    images, undistorted, matched = views.images.clone(), list(sources), {}
+    for index, source in enumerate(sources):
+        if source.path is None or (camera := stored.get(source.path)) is None:
+            continue
+        matched[index] = _check(camera, source)
+        if camera.undistortion is not None:
+            apply = camera.undistortion.apply
+            picture, undistorted[index] = read_picture(source.path, source.name, source.view_size, apply)
+            images[0, index] = to_tensor(picture)
+    if not matched:
+        raise UserError("none of the photographs has a stored camera; use poses=predicted")
+    seen = [view_camera(_straight(camera), undistorted[index]) for index, camera in matched.items()]
+    targets = [
+        view_camera(_straight(camera), covering(path.stem, camera.size, sources[0].view_size))
+        for path, camera in stored.items()
+    ]
+    names = tuple(short_names([path.with_suffix("") for path in stored]))
+    known = KnownCameras(Cameras.cat(seen, dim=1), tuple(matched), Cameras.cat(targets, dim=1), names)
+    return replace(views, images=images), tuple(undistorted), known
+
+
+def _straight(camera: StoredCamera) -> StoredCamera:
+    """The camera of the undistorted photograph."""
+    return camera if camera.undistortion is None else replace(camera, intrinsics=camera.undistortion.intrinsics)
+
+
+def _stored(photographs: Iterable[Path], given: Path | None) -> dict[Path, StoredCamera]:
+    """The cameras of the photographs in some folders, each from the first folder from it upwards that holds any."""
+    images: dict[Path, list[Path]] = {}
+    for folder in photographs:
+        above = (folder, *folder.absolute().parents[:2]) if given is None else (given,)
+        place = next((each for each in above if any(reader.find(each) for reader in readers())), None)
+        if place is not None:
+            images.setdefault(place.absolute(), []).extend(image_files(folder))
+    return {path: camera for place, files in images.items() for path, camera in read_poses(place, files).items()}
+
+
+def _check(camera: StoredCamera, source: SourceImage) -> StoredCamera:
+    """The camera, if its image has the photograph's aspect."""
+    (height, width), (stored_height, stored_width) = source.size, camera.size
+    if abs(width * stored_height / (height * stored_width) - 1) > MAX_ASPECT_ERROR:
+        raise UserError(
+            f"the stored camera of {source.name} is for an image of {stored_width}x{stored_height} pixels, and the "
+            f"photograph has {width}x{height}; give the poses of these photographs"
+        )
+    return camera

@@ -6,6 +6,7 @@ Each is a function of embeddings, images or colours that any model has; none dep
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import torch
 import torch.nn.functional as F
@@ -31,7 +32,7 @@ class SeenScene:
 
     Args:
         sources: Where each view comes from.
-        cameras: Of the views, in the frame of the Gaussians.
+        cameras: The cameras of the views, in the frame of the Gaussians.
         renderer: Differentiable in colours.
     """
 
@@ -84,12 +85,13 @@ class Controls:
     @property
     def label(self) -> str:
         """What differs from the defaults, as text; empty where nothing does."""
-        default = Controls()
-        changed = [item.name for item in fields(self) if getattr(self, item.name) != getattr(default, item.name)]
-        values = {name: getattr(self, name) for name in changed}
-        texts = {name: f"{value:g}" for name, value in values.items() if isinstance(value, (int, float))}
-        texts |= {name: " ".join(value) for name, value in values.items() if isinstance(value, tuple)}
-        return ", ".join(f"{name.replace('_', ' ')} {texts.get(name, '')}".strip() for name in values)
+        texts: list[str] = []
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value != item.default:
+                shown = value if isinstance(value, tuple) else () if isinstance(value, Mask) else (f"{value:g}",)
+                texts.append(" ".join((item.name.replace("_", " "), *shown)))
+        return ", ".join(texts)
 
 
 def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"]) -> Gaussians:
@@ -100,9 +102,7 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
     if unstyled.means.shape != styled.means.shape:
         raise UserError(f"{unstyled.means.shape[1]} and {styled.means.shape[1]} Gaussians are not of one scene")
     degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
-    amount = torch.as_tensor(weights, dtype=styled.means.dtype, device=styled.means.device).expand(
-        styled.opacities.shape
-    )
+    amount = torch.ones_like(styled.opacities) * weights
 
     def between(name: str) -> Tensor:
         start, end = getattr(unstyled, name), getattr(styled, name)
@@ -167,11 +167,5 @@ def combinations(
     mask: Sequence[Mask] = (),
 ) -> list[Controls]:
     """Controls for every combination of the values given, defaults for what is not."""
-    default = Controls()
-    return [
-        Controls(one, two, three, four)
-        for four in mask or (default.mask,)
-        for three in scale or (default.scale,)
-        for two in preserve_color or (default.preserve_color,)
-        for one in strength or (default.strength,)
-    ]
+    given = (mask or (None,), scale or (1.0,), preserve_color or (0.0,), strength or (1.0,))
+    return [Controls(one, two, three, four) for four, three, two, one in product(*given)]

@@ -1,24 +1,27 @@
-"""The third step: views become a scene, once for all styles."""
+"""The third step: views become a scene, once for all styles.
+
+One pass over all views costs memory and time that grow with them, and a network that was trained on a few dozen gets
+worse beyond. Groups of views that overlap keep both bounded: each is encoded by itself and laid into one frame by the
+views it shares with the one before.
+"""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Reconstruction
+from anystyle.contracts import Adapter, Backbone
 from anystyle.data.names import distinct
 from anystyle.errors import UserError
-from anystyle.geometry.transforms import Similarity
+from anystyle.geometry.transforms import Similarity, similarity_of_cameras
+from anystyle.io import limits
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import colors_alone
-from anystyle.pipeline import memory
-from anystyle.pipeline.cameras import with_cameras
-from anystyle.pipeline.groups import Capture, encode_groups
+from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.read import ReadViews
 from anystyle.pipeline.stages import Stages
@@ -30,6 +33,50 @@ from anystyle.types.shapes import ShapeError, check_value
 
 RENDER_CHUNK = 4
 """Views rendered together."""
+PLENTY = 16 * 2**10
+"""Bytes per pixel, seven times what the published network takes; where these are free, memory is not estimated."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Some views of a capture, encoded together.
+
+    Args:
+        scene: In the group's own frame and unit.
+        views: Which views of the capture it shows.
+        capture_from_group: From its frame to the capture's, which is the first group's; ``None`` where they are one.
+        num_new: How many views at its end no earlier group has; only their Gaussians are used.
+    """
+
+    scene: Scene
+    views: Sequence[int]
+    capture_from_group: Similarity | None
+    num_new: int
+
+    @classmethod
+    def whole(cls, scene: Scene) -> "tuple[Group]":
+        """A capture of one group."""
+        num_views = scene.views.images.shape[1]
+        return (cls(scene, range(num_views), None, num_views),)
+
+    def gaussians(self, function: Callable[[Scene], Gaussians]) -> Gaussians:
+        """The Gaussians that a function gives for this group's new views, in the capture's frame."""
+        gaussians = function(self.scene)
+        if self.num_new < len(self.views):
+            depth, clusters = self.scene.geometry.depth, self.scene.clusters
+            first_pixel = depth[0, 0].numel() * (len(self.views) - self.num_new)
+            new = torch.arange(gaussians.means.shape[1], device=depth.device) >= first_pixel
+            if clusters is not None:
+                new = torch.zeros_like(new).index_fill(0, clusters.index[0, first_pixel:], True)
+            gaussians = gaussians.map(lambda tensor: tensor[:, new])
+        return gaussians if self.capture_from_group is None else self.capture_from_group.gaussians(gaussians)
+
+    def cameras(self) -> Cameras:
+        """The cameras of the new views, in the capture's frame."""
+        cameras = self.scene.cameras.select(slice(len(self.views) - self.num_new, None))
+        if self.capture_from_group is None:
+            return cameras
+        return replace(cameras, world_from_camera=self.capture_from_group.poses(cameras.world_from_camera[0])[None])
 
 
 @dataclass(frozen=True)
@@ -40,7 +87,7 @@ class EncodedCapture:
         stylizer: Encoded it, and restyles and renders it.
         views: The input views, on the CPU.
         sources: Where each view comes from.
-        capture: The encoded groups of views, in one frame.
+        groups: The encoded groups of views, in one frame.
         reconstruction: How the scene was made, for reports.
         targets: Names and cameras of further views to render, in the capture's frame.
         scene_from_known: From the frame of stored or estimated cameras to the capture's, where they differ.
@@ -52,7 +99,7 @@ class EncodedCapture:
     stylizer: Stylizer
     views: Views
     sources: tuple[SourceImage, ...]
-    capture: Capture
+    groups: tuple[Group, ...]
     reconstruction: Mapping[str, object]
     targets: tuple[tuple[str, ...], Cameras] | None = None
     scene_from_known: Similarity | None = None
@@ -63,12 +110,16 @@ class EncodedCapture:
     @property
     def cameras(self) -> Cameras:
         """The cameras of the input views, in the capture's frame."""
-        return self.capture.cameras
+        return cameras_of(self.groups)
 
     @property
     def names(self) -> list[str]:
         """A file name without suffix for each input view."""
         return _file_names([source.name for source in self.sources])
+
+    def gaussians(self, function: Callable[[Scene], Gaussians]) -> Gaussians:
+        """The Gaussians that a function, such as ``restyle`` with a style, gives for all groups, as one set."""
+        return Gaussians.cat([group.gaussians(function) for group in self.groups], dim=1)
 
     @torch.no_grad()
     def render(self, gaussians: Gaussians, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:
@@ -80,93 +131,166 @@ class EncodedCapture:
 
 
 def encode(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: Stages) -> EncodedCapture:
-    """Make a scene of views.
-
-    Args:
-        given: The views, with cameras where they are known.
-        stylizer: In ``eval`` mode, on the device to compute on.
-        options: How many views are encoded together.
-        stages: Times the work.
-    """
+    """Make a scene of views."""
     start = time.perf_counter()
-    similarity, measures = None, {}
+    similarity, targets, measures = None, None, {}
     if given.reconstruction.needs_cameras:
-        capture, measures = _fitted(given, stylizer, stages)
+        groups, measures = _fitted(given, stylizer, stages)
     else:
-        capture = _single_pass(given, stylizer, options, stages)
+        groups = _single_pass(given, stylizer, options, stages)
         if given.cameras is not None:
-            cameras = given.cameras.to(stylizer.device)
-            capture, similarity = with_cameras(capture, cameras, stylizer.backbone.adapter)
-    targets = None
+            groups, similarity = with_cameras(groups, given.cameras.to(stylizer.device), stylizer.backbone.adapter)
     if given.targets is not None:
-        cameras, similarity = given.targets.targets_in_scene(capture.cameras)
+        cameras, similarity = given.targets.targets_in_scene(cameras_of(groups))
         targets = tuple(_file_names(given.targets.names)), cameras
     kind = catalog().name_of("reconstruction", type(given.reconstruction))
-    report = scene_report(kind, capture, time.perf_counter() - start, measures) | dict(given.report)
-    return EncodedCapture(stylizer, given.views, given.sources, capture, report, targets, similarity)
+    report = scene_report(kind, len(given.sources), start, measures) | dict(given.report)
+    return EncodedCapture(stylizer, given.views, given.sources, groups, report, targets, similarity)
 
 
 def encoder(stylizer: Stylizer) -> Callable[[Views], Scene]:
     """The encoding that the style branch needs of views with cameras; no features if it styles colours alone."""
-    if stylizer.branch.gaussian_head is not None:
-        return stylizer.encode
-    return colors_alone
+    return colors_alone if stylizer.branch.gaussian_head is None else stylizer.encode
 
 
-def _single_pass(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: Stages) -> Capture:
+def _single_pass(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: Stages) -> tuple[Group, ...]:
     num_views, (height, width) = len(given.sources), given.views.size
     at_once = min(num_views, options.max_views or num_views)
-    memory.require_encoding(stylizer.backbone, at_once, given.views.size, stylizer.device)
+    require_encoding(stylizer.backbone, at_once, given.views.size, stylizer.device)
+
+    def encode(views: Views) -> Scene:
+        scene = given.reconstruction(views, stylizer.encode, stylizer.renderer).scene
+        sizes = {"B": 1, "V": views.images.shape[1], "H": height, "W": width}
+        try:
+            check_value(scene.geometry, Geometry, "the backbone's `geometry_head`", **sizes)
+            check_value(scene.cameras, Cameras, "the backbone's `geometry_head`", **sizes)
+            check_value(scene.attributes, Attributes, "the backbone's `gaussian_head`", **sizes)
+        except ShapeError as error:
+            raise UserError(f"{error}; `anystyle plugins check backbone NAME` checks its whole contract") from error
+        return scene
+
     with stages("encode", f"{num_views} views of {width}x{height}"):
-        return encode_groups(
-            partial(_reconstructed, stylizer=stylizer, reconstruction=given.reconstruction),
-            Views(given.views.images, names=given.views.names).to(stylizer.device),
-            size=options.max_views,
-            overlap=options.overlap,
-        )
+        views = Views(given.views.images, names=given.views.names).to(stylizer.device)
+        return encode_groups(encode, views, size=options.max_views, overlap=options.overlap)
 
 
-def _fitted(given: ReadViews, stylizer: Stylizer, stages: Stages) -> tuple[Capture, Mapping[str, float]]:
+def available(device: torch.device) -> int | None:
+    """Free bytes on a device; ``None`` if they are unknown."""
+    if device.type == "cuda":
+        return int(torch.cuda.mem_get_info(device)[0])
+    return limits.free() if device.type == "cpu" else None
+
+
+def require_encoding(backbone: Backbone, num_views: int, size: tuple[int, int], device: torch.device) -> None:
+    """Raise a UserError that says how many views fit if these do not, before anything is computed."""
+    free = available(device)
+    if free is None or num_views * size[0] * size[1] * PLENTY <= limits.USABLE * free:
+        return
+    from anystyle.pipeline import memory
+
+    if (estimate := memory.encoding(backbone, size)) is None:
+        return
+    constant, per_view = estimate
+    fits = int((limits.USABLE * free - constant) / per_view) if per_view else 0
+    advice = f"{fits} fit: set views.max_views={fits}" if fits >= 2 else "not even two fit: set a smaller size"
+    limits.require(
+        constant + per_view * num_views,
+        f"{num_views} views of {size[1]}x{size[0]}",
+        f"{advice} (groups that overlap), views.short_side or views.take",
+        free,
+    )
+
+
+def _fitted(given: ReadViews, stylizer: Stylizer, stages: Stages) -> tuple[tuple[Group, ...], Mapping[str, float]]:
     """All views at once, by a reconstruction that needs their cameras."""
-    num_views, (height, width) = len(given.sources), given.views.size
-    line = f"{num_views} views of {width}x{height}"
-    cameras = given.cameras
+    views, (height, width) = given.views.to(stylizer.device), given.views.size
+    line, cameras = f"{len(given.sources)} views of {width}x{height}", given.cameras
     if cameras is None:
         with stages("encode", line):
-            cameras = stylizer.encode(given.views.to(stylizer.device)).cameras
-    views = replace(given.views.to(stylizer.device), cameras=cameras.to(stylizer.device))
+            cameras = stylizer.encode(views).cameras
+    views = replace(views, cameras=cameras.to(stylizer.device))
     with stages("fit", f"a scene to {line}") as on_progress:
         scene, measures = given.reconstruction(
             views, encoder(stylizer), stylizer.renderer, points=given.points, on_progress=on_progress
         )
         if measures.get("kept"):
             stages.note("fit", "was read from the cache of an earlier run with these photographs and options")
-    return Capture.of(scene), measures
+    return Group.whole(scene), measures
 
 
-def _reconstructed(views: Views, stylizer: Stylizer, reconstruction: Reconstruction) -> Scene:
-    """Encode views in the single pass, and check the result against the shapes that its types declare."""
-    scene = reconstruction(views, stylizer.encode, stylizer.renderer).scene
-    batch, number, _, height, width = views.images.shape
-    sizes = {"B": batch, "V": number, "H": height, "W": width}
-    try:
-        check_value(scene.geometry, Geometry, "the backbone's `geometry_head`", **sizes)
-        check_value(scene.cameras, Cameras, "the backbone's `geometry_head`", **sizes)
-        check_value(scene.attributes, Attributes, "the backbone's `gaussian_head`", **sizes)
-    except ShapeError as error:
-        raise UserError(f"{error}; `anystyle plugins check backbone NAME` checks its whole contract") from error
-    return scene
+def scene_report(kind: str, num_views: int, start: float, measures: Mapping[str, float]) -> dict[str, object]:
+    """How a scene was made since ``start``, for ``report.json``."""
+    rounded = {name: int(value) if value == int(value) else round(value, 4) for name, value in measures.items()}
+    return {"kind": kind, "registered": num_views, "seconds": round(time.perf_counter() - start, 2), **rounded}
 
 
-def scene_report(kind: str, capture: Capture, seconds: float, measures: Mapping[str, float]) -> dict[str, object]:
-    """How a scene was made, for ``report.json``."""
-    return {
-        "kind": kind,
-        "registered": capture.cameras.intrinsics.shape[1],
-        "seconds": round(seconds, 2),
-        **{name: int(value) if value == int(value) else round(value, 4) for name, value in measures.items()},
-    }
+def cameras_of(groups: Sequence[Group]) -> Cameras:
+    """The cameras of every view, in the capture's frame."""
+    return Cameras.cat([group.cameras() for group in groups], dim=1)
 
 
-def _file_names(names: list[str] | tuple[str, ...]) -> list[str]:
+def split(num_views: int, size: int, overlap: int) -> list[range]:
+    """Consecutive views in groups of ``size`` that overlap by ``overlap``; the last pair may overlap more."""
+    if size < 2 or not 1 <= overlap < size:
+        raise UserError(
+            f"groups of {size} views that share {overlap}; give at least 2 views and fewer shared ones, at least 1"
+        )
+    last = max(num_views - size, 0)
+    return [range(start, min(start + size, num_views)) for start in (*range(0, last, size - overlap), last)]
+
+
+def encode_groups(
+    encode: Callable[[Views], Scene], views: Views, *, size: int | None, overlap: int | None = None
+) -> tuple[Group, ...]:
+    """Encode a capture in groups of ``size`` views, ``None`` for all at once; neighbours share a quarter by default."""
+    num_scenes, num_views = views.images.shape[:2]
+    if num_scenes != 1:
+        raise UserError(f"{num_scenes} scenes are given; a capture is one")
+    if size is None or num_views <= size:
+        return Group.whole(encode(views))
+    groups: list[Group] = []
+    for indices in split(num_views, size, max(1, size // 4) if overlap is None else overlap):
+        scene = encode(views.select(list(indices)))
+        new = indices[-1] - groups[-1].views[-1] if groups else len(indices)
+        groups.append(Group(scene, indices, _capture_from_group(groups[-1], scene, indices) if groups else None, new))
+    return tuple(groups)
+
+
+def _capture_from_group(last: Group, scene: Scene, indices: Sequence[int]) -> Similarity:
+    """From a new group's frame to the capture's, by the views it shares with the one before.
+
+    The unit is what their depths say, pixel by pixel, for the positions of few cameras say little of it.
+    """
+    num_shared = last.views[-1] + 1 - indices[0]
+    target = last.scene.cameras.world_from_camera[0, -num_shared:]
+    source = scene.cameras.world_from_camera[0, :num_shared]
+    ratio = last.scene.geometry.depth[0, -num_shared:] / scene.geometry.depth[0, :num_shared].clamp_min(1e-12)
+    scale = ratio.flatten().median()
+    rotation = similarity_of_cameras(source, target).rotation
+    translation = (target[:, :3, 3] - scale * source[:, :3, 3] @ rotation.mT).mean(0)
+    last_from_group = Similarity(scale, rotation, translation)
+    return last_from_group if last.capture_from_group is None else last.capture_from_group.after(last_from_group)
+
+
+def with_cameras(groups: Sequence[Group], cameras: Cameras, adapter: Adapter) -> tuple[tuple[Group, ...], Similarity]:
+    """Groups with their predicted cameras replaced by known ones, and the similarity from their frame to the capture's.
+
+    Depth and Gaussians keep the unit that the network predicts in; the known cameras are brought there by the
+    similarity that fits the predicted ones best.
+    """
+    placed, similarities = [], []
+    for group in groups:
+        known = cameras.select(list(group.views))
+        group_from_known = scene_from_known(known.world_from_camera[0], group.scene.cameras.world_from_camera[0])
+        similarities.append(group_from_known)
+        known = replace(known, world_from_camera=group_from_known.poses(known.world_from_camera))
+        geometry = replace(group.scene.geometry, cameras=known)
+        clusters = adapter.cluster(geometry, group.scene.attributes)
+        capture_from_group = similarities[0].after(group_from_known.inverse()) if placed else None
+        scene = replace(group.scene, geometry=geometry, clusters=clusters)
+        placed.append(replace(group, scene=scene, capture_from_group=capture_from_group))
+    return tuple(placed), similarities[0]
+
+
+def _file_names(names: Sequence[str]) -> list[str]:
     return distinct([slug(name, 80) for name in names], "-")

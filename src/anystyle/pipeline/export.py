@@ -37,11 +37,8 @@ def export(
 def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None = None) -> None:
     """Write a scene, whole or not at all; if the format has no field for notes, they are in ``NAME.txt`` beside it.
 
-    Args:
-        scene: Styles may differ in colours and rotations only.
-        path: The file.
-        name: A plugin of kind ``format``.
-        up: One of :data:`~anystyle.pipeline.options.AXES`; ``None`` is what readers of the format expect.
+    ``name`` is a plugin of kind ``format``; ``up`` one of :data:`~anystyle.pipeline.options.AXES`, or ``None`` for what
+    readers of the format expect.
     """
     writer = build(Format, name)
     first, given = scene.styles[0][0], dict(scene.styles)

@@ -33,7 +33,7 @@ from anystyle.pipeline.request import Request
 from anystyle.published import Published
 from anystyle.registry.build import build, build_all, choice
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import compose
+from anystyle.registry.compose import compose, options
 from anystyle.registry.schema import runtime_arguments
 from anystyle.stylizer import Stylizer
 from anystyle.types import Site, Views, matching_sites
@@ -63,29 +63,17 @@ def weights_file(name: object) -> Path:
 
 def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> StyleBranch:
     """A style branch at initialisation: copies of the backbone's parts, and injectors that are identities."""
-    options = branch_options(config)
-    sites = build(Placement, config.placement).select(sites_of(backbone, options.sh_degree))
+    branch: BranchOptions = options(config, "branch")
+    sites = build(Placement, config.placement).select(sites_of(backbone, branch.sh_degree))
     chosen: dict[Site, Any] = dict.fromkeys(sites, config.injector)
-    for pattern, other in options.injectors.items():
+    for pattern, other in branch.injectors.items():
         chosen |= dict.fromkeys(matching_sites(sites, [pattern]), choice(Injector, other))
 
     def make_injector(site: Site) -> Injector:
         return build(Injector, chosen[site], dim=site.dim, style_dim=style_dim, site=site)
 
-    return StyleBranch(
-        backbone,
-        sites=sites,
-        make_injector=make_injector,
-        styled=options.styled,
-        sh_degree=options.sh_degree,
-        single_view=options.single_view,
-    )
-
-
-def branch_options(config: DictConfig) -> BranchOptions:
-    """The checked options of the style branch."""
-    given: Any = OmegaConf.to_container(config.branch, resolve=True)
-    return BranchOptions(**given)
+    given = {name: value for name, value in vars(branch).items() if name != "injectors"}
+    return StyleBranch(backbone, sites=sites, make_injector=make_injector, **given)
 
 
 def published_by(config: DictConfig) -> Published:
@@ -101,17 +89,10 @@ def published_by(config: DictConfig) -> Published:
 
 
 def require_weights(config: DictConfig, *, learns: bool = False) -> None:
-    """Refuse a backbone whose weights memory does not hold, before there is one.
-
-    Args:
-        config: Its node ``backbone``.
-        learns: Whether gradients and the optimiser's two moments come to them.
-    """
-    backbone = _outline(config)
-    if backbone is None:
-        return
-    needed = sum(tensor.nbytes for tensor in backbone.state_dict().values()) * (4 if learns else 1)
-    require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
+    """Refuse a backbone whose weights, with gradients and two moments if it ``learns``, memory does not hold."""
+    if (backbone := _outline(config)) is not None:
+        needed = sum(tensor.nbytes for tensor in backbone.state_dict().values()) * (4 if learns else 1)
+        require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
 
 
 def _outline(config: DictConfig) -> Backbone | None:
@@ -134,55 +115,46 @@ def make_scenes(config: DictConfig, key: str = "scenes") -> SceneSource:
 
 
 def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
-    """Build a stylizer and load its weights.
-
-    Args:
-        config: Nodes ``backbone, style_encoder, placement, injector, renderer, branch, precision`` and ``weights``,
-            which names a file for each of ``backbone, style_encoder, branch``, or ``null`` for a part left as
-            initialised. A file is one of ours, or holds weights under the names that their publishers gave them.
-        learns: Whether the style branch is going to be trained; if not, an untrained one is warned of.
+    """Build a stylizer and load the files that ``config.weights`` names, each ours or under its publishers' names.
 
     Returns:
         The stylizer, and what was loaded: file name, SHA-256, provenance; by part, and where one has several networks
-        the further ones by ``part/network``.
+        the others by ``part/network``. A warning tells of an untrained branch unless it ``learns``.
     """
-    branch_options(config)
+    options(config, "branch")  # refuses what is wrong before anything is loaded
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
     if "backbone" not in files:
         require_weights(config)
     for file in set(files.values()):
         require(file.stat().st_size, f"the weights in {file}", _SMALLER)
-    sums = {file: sha256(file) for file in set(files.values()) if file.is_file()}
-    digests = {part: sums[file] for part, file in files.items() if file in sums}
+    digests = {file: sha256(file) for file in set(files.values())}
     ours = {part: file for part, file in files.items() if has_header(file)}
     # A file that several parts come from is read once.
     states = {file: weights.read(file) for file in {files[part] for part in files if part not in ours}}
     if "branch" in ours:
-        _check_base(ours["branch"], digests)
+        for part, digest in read_header(ours["branch"]).base.items():
+            given = digests[files[part]] if part in files else "not given"
+            if given != digest:
+                raise UserError(
+                    f"{ours['branch']} was trained on a {part} with SHA-256 {digest[:12]}…, and weights.{part} is "
+                    f"{given[:12]}; name the file it was trained on"
+                )
     published = {part: states[file] for part, file in files.items() if part not in ours}
     stylizer, headers = build_and_load(config, ours, published)
-    loaded = {
-        part: {
-            "file": file.name,
-            "sha256": digests[part],
-            "provenance": dict(headers[part].provenance) if part in headers else {},
-        }
-        for part, file in files.items()
-    }
+    loaded: dict[str, dict[str, Any]] = {}
+    for part, file in files.items():
+        facts = dict(headers[part].provenance) if part in headers else {}
+        loaded[part] = {"file": file.name, "sha256": digests[file], "provenance": facts}
     for part in PARTS:
         for index, source in enumerate(() if part in files else getattr(stylizer, part).sources):
             name = part if index == 0 else f"{part}/{source.network}"
             loaded[name] = {"file": source.file, "sha256": source.sha256, "provenance": {}}
-    if "backbone" not in loaded:
-        _log.warning(
-            "the backbone is untrained and its scenes mean nothing, for no weights of it are named; train one, "
-            "or give its file as weights.backbone"
-        )
-    if "branch" not in loaded and not learns:
-        _log.warning(
-            "the style branch is untrained and changes nothing, for no weights of one on this backbone are named; "
-            "train one, or give its file as weights.branch"
-        )
+    told = {"backbone": ("the backbone", "its scenes mean nothing, for no weights of it are named")}
+    if not learns:
+        told["branch"] = ("the style branch", "changes nothing, for no weights of one on this backbone are named")
+    for part, (what, why) in told.items():
+        if part not in loaded:
+            _log.warning("%s is untrained and %s; train one, or give its file as weights.%s", what, why, part)
     return stylizer, loaded
 
 
@@ -194,14 +166,11 @@ def assemble_frozen(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, A
 
 def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
     """The configured method with its losses; nothing of it learns."""
-    losses = build_all(Loss, config.get("loss"), style_encoder=style_encoder) if "losses" in _named(config) else {}
+    named = runtime_arguments(catalog().owner("method", str(config.method._target_)))
+    losses = build_all(Loss, config.get("loss"), style_encoder=style_encoder) if "losses" in named else {}
     for loss in losses.values():
         loss.requires_grad_(False)
     return build(Method, config.method, losses=losses)
-
-
-def _named(config: DictConfig) -> Mapping[str, bool]:
-    return runtime_arguments(catalog().owner("method", str(config.method._target_)))
 
 
 @dataclass(frozen=True)
@@ -233,26 +202,28 @@ def load_model(
     method: Method | None = None,
 ) -> LoadedModel:
     """Load the model of a request with its method and reconstruction, but for parts that are in memory already."""
-    config, weights, poses = request.config, {}, "predicted"
+    config, loaded, poses = request.config, {}, "predicted"
     all_named = stylizer is None and reconstruction is None and method is None
     if stylizer is None:
-        stylizer, weights = assemble_frozen(config)
-        stylizer, poses = stylizer.to(default_device()), default_poses(config)
+        stylizer, loaded = assemble_frozen(config)
+        stylizer = stylizer.to(default_device())
+        known = weights.files().get(str(config.weights.backbone))
+        poses = "auto" if known is not None and known.bundled else "predicted"  # a small network predicts them badly
         method = method or make_method(config, stylizer.style_encoder)
     elif method is None:  # a stylizer stylizes in its single pass unless another method is named
         named = any(word.startswith("method") for word in request.overrides)
         method = make_method(config, stylizer.style_encoder) if named else Branch()
     if reconstruction is None and config.get("reconstruction") is not None:
         reconstruction = build(Reconstruction, config.reconstruction)
-    return LoadedModel(stylizer, method, reconstruction, poses, weights, all_named)
+    return LoadedModel(stylizer, method, reconstruction, poses, loaded, all_named)
 
 
-def first_views(config: DictConfig, options: ViewOptions) -> Views:
+def first_views(config: DictConfig, views: ViewOptions) -> Views:
     """The first views of the configured scene."""
     source = make_scenes(config)
     if not 0 <= config.scene < len(source):
         raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
-    number = min(source.num_views(config.scene), options.take or Reconstruction.max_views)
+    number = min(source.num_views(config.scene), views.take or Reconstruction.max_views)
     return source.read(config.scene, range(number))
 
 
@@ -269,13 +240,6 @@ def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:
     """
     preset = [] if model is None else [f"model={model}"]
     return assemble_frozen(compose("stylize", [*preset, *overrides]))[0]
-
-
-def default_poses(config: DictConfig) -> str:
-    """The default source of cameras; a small bundled network predicts them badly."""
-    known = weights.files()
-    name = config.weights.backbone
-    return "auto" if name in known and known[name].bundled else "predicted"
 
 
 def default_device() -> torch.device:
@@ -295,44 +259,38 @@ def build_and_load(
         The stylizer, and the headers of our files.
     """
     headers: dict[str, Header] = {}
-    encoder = style_encoder or _style_encoder(config, ours, published, headers)
+
+    def fill(part: str, module: nn.Module, state_of: str | None = None) -> None:
+        if (state_of or part) in published:
+            published_by(config).load(part, module, published[state_of or part])
+        elif state_of is None and part in ours:
+            headers[part] = load_part(ours[part], module, part)
+
+    if (encoder := style_encoder) is None:
+        with _on_meta("style_encoder" in published):
+            encoder = build(StyleEncoder, config.style_encoder)
+        if "style_encoder" in published:
+            encoder.load_published(published["style_encoder"])
+        else:
+            fill("style_encoder", encoder)
+        fill("style_encoder", encoder, state_of="branch")
     whole = "backbone" in published and published_by(config).parts(published["backbone"])["backbone"]
     with _on_meta(whole):
         backbone = build(Backbone, config.backbone)
-    branch = None
-    if whole and "branch" in published:
-        with _on_meta(True):
-            branch = make_branch(config, backbone, encoder.dim)
+        branch = make_branch(config, backbone, encoder.dim) if whole and "branch" in published else None
     if whole:
         # While nothing is in memory: tensors are cast to these types as they come from their file.
         for module in modules_in_bf16(config.precision, backbone, branch):
             module.to(torch.bfloat16)
-    if "backbone" in published:
-        published_by(config).load("backbone", backbone, published["backbone"])
-    elif "backbone" in ours:
-        headers["backbone"] = load_part(ours["backbone"], backbone, "backbone")
+    fill("backbone", backbone)
     branch = branch or make_branch(config, backbone, encoder.dim)
-    if "branch" in published:
-        published_by(config).load("branch", branch, published["branch"])
-    elif "branch" in ours:
-        headers["branch"] = load_part(ours["branch"], branch, "branch")
+    fill("branch", branch)
     renderer = build(Renderer, config.renderer)
     stylizer = Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer)
-    return set_precision(stylizer, config.precision), headers
-
-
-def _style_encoder(
-    config: DictConfig, ours: Mapping[str, Path], published: Mapping[str, StateDict], headers: dict[str, Header]
-) -> StyleEncoder:
-    with _on_meta("style_encoder" in published):
-        encoder = build(StyleEncoder, config.style_encoder)
-    if "style_encoder" in ours:
-        headers["style_encoder"] = load_part(ours["style_encoder"], encoder, "style_encoder")
-    if "style_encoder" in published:
-        encoder.load_published(published["style_encoder"])
-    if "branch" in published:
-        published_by(config).load("style_encoder", encoder, published["branch"])
-    return encoder
+    for module in modules_in_bf16(config.precision, backbone, branch):
+        module.to(torch.bfloat16)
+    stylizer.autocast = config.precision == "reference"
+    return stylizer, headers
 
 
 @contextlib.contextmanager
@@ -340,16 +298,6 @@ def _on_meta(enabled: bool) -> Iterator[None]:
     """Build modules on the meta device where it is enabled: without memory, and without initial values."""
     with torch.device("meta") if enabled else contextlib.nullcontext():
         yield
-
-
-def _check_base(file: Path, digests: dict[str, str]) -> None:
-    """Refuse a branch that was trained on top of other weights."""
-    for part, digest in read_header(file).base.items():
-        if digests.get(part) != digest:
-            raise UserError(
-                f"{file} was trained on a {part} with SHA-256 {digest[:12]}…, and weights.{part} is "
-                f"{digests.get(part, 'not given')[:12]}; name the file it was trained on"
-            )
 
 
 def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str, Any]) -> Header:
@@ -365,32 +313,20 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
         base={part: sha256(file) for part, file in files.items()},
         provenance=dict(provenance),
         # Without a file of the backbone it is unknown what was copied.
-        omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
+        omitted=tuple(
+            name
+            for name, part in branch.named_children()
+            if "backbone" in files and {each.requires_grad for each in part.parameters()} == {False}
+        ),
     )
 
 
-def _is_frozen(part: nn.Module) -> bool:
-    parameters = list(part.parameters())
-    return bool(parameters) and not any(parameter.requires_grad for parameter in parameters)
-
-
-def set_precision(stylizer: Stylizer, precision: str) -> Stylizer:
-    """Set what inference computes in; weights are rounded to it. Geometry is always computed in fp32.
-
-    Args:
-        stylizer: Changed in place.
-        precision: ``fp32``; ``bf16``: weights and activations of the transformers and Gaussian heads, half the memory;
-            ``reference``: as the published code runs on a GPU, the frozen transformers' weights in bf16 and the rest
-            under autocast.
-    """
-    for module in modules_in_bf16(precision, stylizer.backbone, stylizer.branch):
-        module.to(torch.bfloat16)
-    stylizer.autocast = precision == "reference"
-    return stylizer
-
-
 def modules_in_bf16(precision: str, backbone: Backbone, branch: StyleBranch | None = None) -> list[nn.Module]:
-    """The modules whose weights a precision stores in bf16."""
+    """The modules whose weights a precision stores in bf16; geometry is always computed in fp32.
+
+    ``bf16``: the transformers and Gaussian heads, half the memory. ``reference``: as the published code runs on a GPU,
+    the frozen transformers, and the rest under autocast.
+    """
     if precision not in PRECISIONS:
         raise UserError(f"precision is {precision!r}; choose from {', '.join(PRECISIONS)}")
     parts: list[nn.Module] = [] if precision == "fp32" else [backbone.embedder, backbone.aggregator]

@@ -1,8 +1,10 @@
 """Where style enters: masks of photographs, or a box, a sphere or a region of similar colour in the scene."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import islice
 from pathlib import Path
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -22,7 +24,21 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Sphere(Mask):
+class Shape(Mask):
+    """A mask of numbers alone: its kind, and how many of them each field but ``soft`` holds."""
+
+    kind: ClassVar[str]
+    sizes: ClassVar[tuple[int, ...]]
+
+    @property
+    def text(self) -> str:
+        *parts, soft = (getattr(self, item.name) for item in fields(self))
+        numbers = [number for part in parts for number in (part if isinstance(part, tuple) else (part,))]
+        return f"{self.kind}:{','.join(map(repr, numbers))}" + (f",soft={soft!r}" if soft else "")
+
+
+@dataclass(frozen=True)
+class Sphere(Shape):
     """Style inside a sphere.
 
     Args:
@@ -30,6 +46,8 @@ class Sphere(Mask):
         radius: Above 0.
         soft: Width of the edge, half of it on either side.
     """
+
+    kind, sizes = "sphere", (3, 1)
 
     center: Vector
     radius: float
@@ -39,10 +57,6 @@ class Sphere(Mask):
         if not self.radius > 0 or not self.soft >= 0:
             raise UserError(f"a sphere of radius {self.radius} with an edge of {self.soft}; expected > 0 and >= 0")
 
-    @property
-    def text(self) -> str:
-        return _text("sphere", (*self.center, self.radius), self.soft)
-
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 inside."""
         distance = (gaussians.means - gaussians.means.new_tensor(self.center)).norm(dim=-1) - self.radius
@@ -50,7 +64,7 @@ class Sphere(Mask):
 
 
 @dataclass(frozen=True)
-class Box(Mask):
+class Box(Shape):
     """Style inside a box along the axes.
 
     Args:
@@ -58,6 +72,8 @@ class Box(Mask):
         high: The opposite one, larger in every coordinate.
         soft: Width of the edge, half of it on either side.
     """
+
+    kind, sizes = "box", (3, 3)
 
     low: Vector
     high: Vector
@@ -67,10 +83,6 @@ class Box(Mask):
         if not all(low < high for low, high in zip(self.low, self.high, strict=True)) or not self.soft >= 0:
             raise UserError(f"a box from {self.low} to {self.high} with an edge of {self.soft} has no inside")
 
-    @property
-    def text(self) -> str:
-        return _text("box", (*self.low, *self.high), self.soft)
-
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 inside."""
         low, high = (gaussians.means.new_tensor(corner) for corner in (self.low, self.high))
@@ -79,7 +91,7 @@ class Box(Mask):
 
 
 @dataclass(frozen=True)
-class Alike(Mask):
+class Alike(Shape):
     """Style on what has the colour of a point and lies near it.
 
     Args:
@@ -89,14 +101,12 @@ class Alike(Mask):
         soft: Width of the edge at the radius, half of it on either side.
     """
 
+    kind, sizes = "like", (3, 1, 1)
+
     point: Vector
     radius: float
     tolerance: float
     soft: float = 0.0
-
-    @property
-    def text(self) -> str:
-        return _text("like", (*self.point, self.radius, self.tolerance), self.soft)
 
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 on what is near and alike."""
@@ -160,10 +170,6 @@ def inside(distance: Float[Tensor, "*batch"], soft: float) -> Float[Tensor, "*ba
     return way * way * (3 - 2 * way)
 
 
-def _text(kind: str, numbers: Sequence[float], soft: float) -> str:
-    return f"{kind}:{','.join(map(repr, numbers))}" + (f",soft={soft!r}" if soft else "")
-
-
 SHAPES = "sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z or like:X,Y,Z,RADIUS,TOLERANCE"
 
 
@@ -171,23 +177,23 @@ def parsed(word: str) -> Mask:
     """A mask in words: a folder or one of :data:`SHAPES`; ``,soft=WIDTH`` at its end."""
     word, _, soft = word.partition(",soft=")
     kind, colon, rest = word.partition(":")
+    shape = next((cls for cls in (Sphere, Box, Alike) if colon and cls.kind == kind), None)
     try:
         options = {"soft": float(soft)} if soft else {}
-        if colon and kind in ("sphere", "box", "like"):
+        if shape is not None:
             numbers = [float(number) for number in rest.split(",")]
-            first: Vector = (numbers[0], numbers[1], numbers[2])
-            if kind == "sphere" and len(numbers) == 4:
-                return Sphere(first, numbers[3], **options)
-            if kind == "box" and len(numbers) == 6:
-                return Box(first, (numbers[3], numbers[4], numbers[5]), **options)
-            if kind == "like" and len(numbers) == 5:
-                return Alike(first, numbers[3], numbers[4], **options)
-            raise IndexError
-    except (ValueError, IndexError) as error:
-        reason = f" ({error})" if "has no inside" in str(error) or "expected >" in str(error) else ""
-        raise UserError(
-            f"the mask {word!r} is not valid{reason}; give a folder, {SHAPES}, with ,soft=WIDTH for a soft edge"
-        ) from None
-    if not Path(word).is_dir():
-        raise UserError(f"the mask {word!r} is neither a folder nor {SHAPES}")
-    return Photographs(Path(word), **options)
+            values = iter(numbers)
+            parts = [tuple(islice(values, size)) if size > 1 else next(values, None) for size in shape.sizes]
+            if len(numbers) == sum(shape.sizes):
+                return shape(*parts, **options)
+    except ValueError as error:
+        reason = f" ({error})" if isinstance(error, UserError) else ""
+    else:
+        reason = ""
+        if shape is None and Path(word).is_dir():
+            return Photographs(Path(word), **options)
+        if shape is None:
+            raise UserError(f"the mask {word!r} is neither a folder nor {SHAPES}")
+    raise UserError(
+        f"the mask {word!r} is not valid{reason}; give a folder, {SHAPES}, with ,soft=WIDTH for a soft edge"
+    )

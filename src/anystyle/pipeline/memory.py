@@ -13,16 +13,11 @@ from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from anystyle.contracts import Backbone
-from anystyle.io import limits
-from anystyle.io.limits import USABLE
 
 _log = logging.getLogger(__name__)
 
-PLENTY = 16 * 2**10
-"""Bytes per pixel, seven times what the published network takes; where these are free, nothing is estimated."""
 
-
-class PeakMemory(TorchDispatchMode):
+class _PeakMemory(TorchDispatchMode):
     """Counts the bytes of live storages that operations allocate, except those of ``weights``."""
 
     def __init__(self, weights: Iterable[Tensor]) -> None:
@@ -51,7 +46,7 @@ class PeakMemory(TorchDispatchMode):
 
 def peak(function: Callable[[], object], weights: Iterable[Tensor] = ()) -> int:
     """The largest number of bytes that tensors made by a function hold at one time, except weights."""
-    with torch.no_grad(), PeakMemory(weights) as memory:
+    with torch.no_grad(), _PeakMemory(weights) as memory:
         result = function()
     del result
     return memory.peak
@@ -92,28 +87,3 @@ def encoding(backbone: Backbone, size: tuple[int, int]) -> tuple[float, float] |
             return None
     slope = (second - first) / 8
     return max(0.0, first - 8 * slope), slope
-
-
-def available(device: torch.device) -> int | None:
-    """Free bytes on a device; ``None`` if they are unknown."""
-    if device.type == "cuda":
-        return int(torch.cuda.mem_get_info(device)[0])
-    return limits.free() if device.type == "cpu" else None
-
-
-def require_encoding(backbone: Backbone, num_views: int, size: tuple[int, int], device: torch.device) -> None:
-    """Raise a UserError that says how many views fit if these do not, before anything is computed."""
-    free = available(device)
-    if free is None or num_views * size[0] * size[1] * PLENTY <= USABLE * free:
-        return
-    estimate = encoding(backbone, size)
-    if estimate is None:
-        return
-    fits = int((USABLE * free - estimate[0]) / estimate[1]) if estimate[1] else 0
-    advice = f"{fits} fit: set views.max_views={fits}" if fits >= 2 else "not even two fit: set a smaller size"
-    limits.require(
-        estimate[0] + estimate[1] * num_views,
-        f"{num_views} views of {size[1]}x{size[0]}",
-        f"{advice} (groups that overlap), views.short_side or views.take",
-        free,
-    )

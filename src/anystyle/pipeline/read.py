@@ -14,7 +14,7 @@ from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
-from anystyle.pipeline.cameras import KnownCameras, from_views
+from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.saved import is_scene_file
 from anystyle.pipeline.stages import Stages
@@ -36,10 +36,10 @@ class ReadViews:
     Args:
         views: On the CPU, all of one size.
         sources: Where each view comes from.
-        reconstruction: Makes a scene of them.
-        cameras: Of all views, stored or estimated; ``None`` where the backbone predicts them.
+        reconstruction: What makes a scene of them.
+        cameras: The cameras of all views, stored or estimated; ``None`` where the backbone predicts them.
         points: For each view, sparse points in the cameras' world that it shows, where some are known.
-        targets: Stored cameras that the scene is to be rendered from, too.
+        targets: Stored cameras that the scene is to be rendered from as well.
         report: The entries of ``report.json`` on the cameras.
     """
 
@@ -89,30 +89,61 @@ def read(
 ) -> ReadViews:
     """Read the views of a scene, with cameras where they are known or can be estimated.
 
-    Args:
-        inputs: What to read, or views that were read already.
-        backbone: The network that will see the views; sides are multiples of its patch size.
-        options: How photographs are read.
-        poses: Where cameras come from.
-        reconstruction: What will make a scene of the views; ``None`` is the choice of the plugin that estimates
-            cameras where it succeeds, and the backbone's single pass elsewhere.
-        stages: Times the work.
+    Without a ``reconstruction`` the plugin that estimates cameras chooses it where it succeeds; elsewhere it is the
+    backbone's single pass.
     """
     if isinstance(inputs, Views):
-        return _read(inputs, backbone, options, poses, reconstruction, stages, {})
-    masks: Mapping[Path, Path] = {}
+        if any(side % backbone.patch_size for side in inputs.size):
+            wrong = f"the scene's images are {inputs.size}"
+            raise UserError(f"{wrong}; their sides must be multiples of {backbone.patch_size}")
+        names = [f"view_{index:02d}" for index in range(inputs.images.shape[1])]
+        own = tuple(covering(name, inputs.size, inputs.size) for name in names)
+        return _with_stored(inputs, own, reconstruction or Feedforward(), poses)
+    paths, masks, given = paths_of(inputs), {}, None
     if options.masks is not None:
-        photographs = [path for item in paths_of(inputs) for path in files_of(item)]
-        masks = find_masks(expanded(options.masks), photographs)
-    given = _read(inputs, backbone, options, poses, reconstruction, stages, masks)
+        masks = find_masks(expanded(options.masks), [path for item in paths for path in files_of(item)])
+    estimators, report = catalog().names("pose_estimator"), {}
+    estimator = next(iter(estimators), None) if poses.use == "auto" else poses.use
+    if estimator in estimators:
+        estimate = build(PoseEstimator, estimator)
+        chosen = reconstruction or build(Reconstruction, estimate.reconstruction)
+        posed = _estimated(paths, backbone, options, chosen, estimate, stages, masks)
+        if isinstance(posed, PosedViews):
+            report = posed.verdict.report()
+            given = ReadViews(posed.views, posed.sources, chosen, posed.views.cameras, posed.points, report=report)
+        else:
+            reason, report = "; ".join(posed.reasons), posed.report()
+            if poses.use != "auto" or (reconstruction is not None and reconstruction.needs_cameras):
+                remedy = "reconstruction=feedforward poses=predicted does without"
+                raise UserError(f"no cameras are found: {reason}; {remedy}")
+            _log.warning(
+                "no cameras are found: %s. The scene is what the backbone predicts in a single pass, and nothing "
+                "confirms it",
+                reason,
+            )
+    if given is None:
+        chosen = reconstruction or Feedforward()
+        short_side, enlarge = view_size(backbone, options, chosen)
+        with stages("read", "the views"):
+            views, sources = read_views(
+                paths,
+                short_side=short_side if options.resize else None,
+                enlarge=enlarge,
+                multiple=backbone.patch_size,
+                max_views=_max_views(paths, options, chosen),
+            )
+        given = replace(_with_stored(views, tuple(sources), chosen, poses), report=report)
+    return _masked(given, masks, options, stages)
+
+
+def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, stages: Stages) -> ReadViews:
     views, report = masked_views(given.views, given.sources, masks, empty=options.masked == "empty")
     if not report:
         return given
-    transparent, ignored = report["transparent"], report["ignored"]
     stages.note(
         "masks",
-        f"of {report['photographs']} of {len(given.sources)} photographs: {transparent:.0%} of the pixels are empty, "
-        f"{ignored:.0%} are ignored",
+        f"of {report['photographs']} of {len(given.sources)} photographs: {report['transparent']:.0%} of the pixels "
+        f"are empty, {report['ignored']:.0%} are ignored",
     )
     if not given.reconstruction.needs_cameras:
         _log.warning(
@@ -122,65 +153,20 @@ def read(
     return replace(given, views=views, report={**given.report, "masks": report})
 
 
-def _read(
-    inputs: Inputs,
-    backbone: Backbone,
-    options: ViewOptions,
-    poses: PoseOptions,
-    reconstruction: Reconstruction | None,
-    stages: Stages,
-    masks: Mapping[Path, Path],
+def _with_stored(
+    views: Views, sources: tuple[SourceImage, ...], reconstruction: Reconstruction, poses: PoseOptions
 ) -> ReadViews:
-    report: Mapping[str, object] = {}
-    estimator = None if isinstance(inputs, Views) else pose_estimator(poses.use)
-    if estimator is not None and not isinstance(inputs, Views):
-        chosen = reconstruction or build(Reconstruction, estimator.reconstruction)
-        posed = _estimated(paths_of(inputs), backbone, options, chosen, estimator, stages, masks)
-        if isinstance(posed, PosedViews):
-            cameras = posed.views.cameras
-            return ReadViews(posed.views, posed.sources, chosen, cameras, posed.points, report=posed.verdict.report())
-        reason = "; ".join(posed.reasons)
-        if poses.use != "auto" or (reconstruction is not None and reconstruction.needs_cameras):
-            raise UserError(f"no cameras are found: {reason}; reconstruction=feedforward poses=predicted does without")
-        _log.warning(
-            "no cameras are found: %s. The scene is what the backbone predicts in a single pass, and nothing confirms "
-            "it",
-            reason,
-        )
-        report = posed.report()
-    chosen = reconstruction or Feedforward()
-    if isinstance(inputs, Views):
-        views, sources = inputs, _own_sources(inputs, backbone.patch_size)
-    else:
-        short_side, enlarge = view_size(backbone, options, chosen)
-        with stages("read", "the views"):
-            views, found = read_views(
-                paths_of(inputs),
-                short_side=short_side if options.resize else None,
-                enlarge=enlarge,
-                multiple=backbone.patch_size,
-                max_views=_max_views(paths_of(inputs), options, chosen),
-            )
-        sources = tuple(found)
+    """Views with the cameras that are stored for them, where these are asked for."""
     if poses.use not in ("known", "target"):
-        return ReadViews(views, sources, chosen, report=report)
+        return ReadViews(views, sources, reconstruction)
     names = [source.name for source in sources]
     if sources[0].path is None:
         known = from_views(views.cameras, names)
     else:
-        from anystyle.pipeline.camera_files import from_files
-
         views, sources, known = from_files(views, sources, None if poses.folder is None else Path(poses.folder))
     if poses.use == "target":
-        return ReadViews(views, sources, chosen, targets=known)
-    return ReadViews(views, sources, chosen, known.of_all(names))
-
-
-def pose_estimator(use: str | None) -> PoseEstimator | None:
-    """The plugin that estimates cameras: the named one, the first there is for ``auto``, ``None`` for other words."""
-    names = catalog().names("pose_estimator")
-    name = next(iter(names), None) if use == "auto" else use if use in names else None
-    return None if name is None else build(PoseEstimator, name)
+        return ReadViews(views, sources, reconstruction, targets=known)
+    return ReadViews(views, sources, reconstruction, known.of_all(names))
 
 
 def _estimated(
@@ -231,11 +217,3 @@ def view_size(backbone: Backbone, options: ViewOptions, reconstruction: Reconstr
 def paths_of(inputs: str | Path | Sequence[str | Path]) -> list[Path]:
     """Inputs other than views."""
     return [Path(path) for path in ([inputs] if isinstance(inputs, (str, Path)) else inputs)]
-
-
-def _own_sources(views: Views, multiple: int) -> tuple[SourceImage, ...]:
-    """Views that were read already, as their own sources."""
-    if any(side % multiple for side in views.size):
-        raise UserError(f"the scene's images are {views.size}; their sides must be multiples of {multiple}")
-    names = [f"view_{index:02d}" for index in range(views.images.shape[1])]
-    return tuple(covering(name, views.size, views.size) for name in names)

@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -69,9 +68,11 @@ class Request:
 
     @classmethod
     def of(cls, arguments: argparse.Namespace, overrides: Sequence[str], config: DictConfig | None = None) -> "Request":
-        """The request of what :func:`parsed` returns, with the configuration where it is composed already."""
+        """The request of what :func:`parsed` returns, with the configuration where Hydra has composed it already."""
         request = cls(tuple(arguments.inputs), _styles_of(arguments), tuple(_controls_of(arguments)), tuple(overrides))
-        return request if config is None else request.composed(config)
+        if config is not None:
+            vars(request)["config"] = config
+        return request
 
     @classmethod
     def made(
@@ -81,11 +82,6 @@ class Request:
         words = tuple(word for key, value in given.items() for word in _overrides_of(key, value))
         located = inputs if isinstance(inputs, Views) else tuple(str(path) for path in paths_of(inputs))
         return cls(located, tuple(styles), tuple(controls), words)
-
-    def composed(self, config: DictConfig) -> "Request":
-        """This request with its configuration, which Hydra has composed of the same overrides."""
-        vars(self)["config"] = config
-        return self
 
     @cached_property
     def config(self) -> DictConfig:
@@ -126,11 +122,9 @@ class Request:
             if image is None:
                 raise UserError(f"style={index} has no image")
             chosen.append(Style(image=image, names=(f"style {index}",)))
-        match self.styles:
-            case (Places(styles=parts),) if chosen:
-                return (Places((*((style, None) for style in chosen), *parts)),)
-            case _:
-                return (*self.styles, *chosen)
+        if chosen and self.styles and isinstance(first := self.styles[0], Places) and len(self.styles) == 1:
+            return (Places((*((style, None) for style in chosen), *first.styles)),)
+        return (*self.styles, *chosen)
 
     def check(self) -> None:
         """Refuse what makes no sense or is not there, before networks are loaded."""
@@ -166,51 +160,34 @@ def parser() -> argparse.ArgumentParser:
         epilog="Every option of every component: anystyle stylize --cfg job",
     )
     add = flags.add_argument
-    add(
-        "inputs",
-        nargs="*",
-        help="a folder, files, a glob or a video; a PLY file or a folder of results; or none with scenes=NAME",
+    inputs = "a folder, files, a glob or a video; a PLY file or a folder of results; or none with scenes=NAME"
+    add("inputs", nargs="*", help=inputs)
+    style: dict[str, Any] = {"action": _StyleFlag, "dest": "styles", "default": []}
+    add("--text", **style, help="a style in words; may be given several times")
+    image = (
+        "a style as an image file; likewise. STYLE@MASK is a style in one place of the scene, see --mask, and "
+        "STYLE@color+rotation one of some attributes of opacity, scale, rotation, color; several make one scene"
     )
-    add("--text", action=_StyleFlag, dest="styles", default=[], help="a style in words; may be given several times")
-    add(
-        "--image",
-        action=_StyleFlag,
-        dest="styles",
-        default=[],
-        help="a style as an image file; likewise. STYLE@MASK is a style in one place of the scene, see --mask, and "
-        "STYLE@color+rotation one of some attributes of opacity, scale, rotation, color; several make one scene",
+    add("--image", **style, help=image)
+    mix = "with exactly two styles: the point between them, 0 is the first and 1 the second; likewise"
+    add("--mix", action="append", default=[], metavar="AMOUNT", help=mix)
+    control = flags.add_argument_group("how a style is applied; several values make a strip").add_argument
+    several: dict[str, Any] = {"action": "append", "default": []}
+    control("--strength", **several, metavar="0..1", help="0 is the unstyled scene")
+    control("--preserve-color", **several, metavar="0..1", help="keep the scene's hues")
+    control("--scale", **several, metavar="FACTOR", help="size of strokes")
+    mask = (
+        "where style enters: a folder of masks, sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z, "
+        "like:X,Y,Z,RADIUS,TOLERANCE; ,soft=WIDTH after it"
     )
-    add(
-        "--mix",
-        action="append",
-        default=[],
-        metavar="AMOUNT",
-        help="with exactly two styles: the point between them, 0 is the first and 1 the second; likewise",
+    control("--mask", **several, metavar="WHERE", help=mask)
+    photo_masks = (
+        "images named as the photographs; what is black in them, such as people or the sky, is not learnt. "
+        "views.masked=empty: nothing is there"
     )
-    controls = flags.add_argument_group("how a style is applied; several values make a strip")
-    controls.add_argument("--strength", action="append", default=[], metavar="0..1", help="0 is the unstyled scene")
-    controls.add_argument("--preserve-color", action="append", default=[], metavar="0..1", help="keep the scene's hues")
-    controls.add_argument("--scale", action="append", default=[], metavar="FACTOR", help="size of strokes")
-    controls.add_argument(
-        "--mask",
-        action="append",
-        default=[],
-        metavar="WHERE",
-        help="where style enters: a folder of masks, sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z, "
-        "like:X,Y,Z,RADIUS,TOLERANCE; ,soft=WIDTH after it",
-    )
-    add(
-        "--photo-masks",
-        metavar="DIR",
-        help="images named as the photographs; what is black in them, such as people or the sky, is not learnt. "
-        "views.masked=empty: nothing is there",
-    )
-    add(
-        "--export",
-        default="",
-        metavar="FORMATS",
-        help="additional files of the scene, by the names of `anystyle plugins format`; several with commas",
-    )
+    add("--photo-masks", metavar="DIR", help=photo_masks)
+    formats = "additional files of the scene, by the names of `anystyle plugins format`; several with commas"
+    add("--export", default="", metavar="FORMATS", help=formats)
     add("--no-provenance", action="store_true", help="files say nothing of photographs, styles and networks")
     add("--again", metavar="REPORT", help="what a report.json was asked for; further arguments are added")
     add("--out", default="out", help="where the results go (default: %(default)s)")
@@ -228,15 +205,14 @@ def parsed(args: Sequence[str], flags: argparse.ArgumentParser | None = None) ->
         index = next(i for i, word in enumerate(args) if word.partition("=")[0] == "--again")
         following = args[index + (1 if "=" in args[index] else 2) :]
         return parsed([*map(str, request), *args[:index], *following], flags)
+    meant: dict[str, object] = {} if arguments.photo_masks is None else {"views.masks": arguments.photo_masks}
+    if arguments.no_provenance:
+        meant["export.provenance"] = False
     if arguments.export:
         if any(word.startswith("export.formats=") for word in overrides):
             raise UserError("formats are named twice; give --export or export.formats")
-        overrides = [override("export.formats", arguments.export.split(",")), *overrides]
-    if arguments.no_provenance:
-        overrides = [override("export.provenance", False), *overrides]
-    if arguments.photo_masks is not None:
-        overrides = [override("views.masks", arguments.photo_masks), *overrides]
-    return arguments, overrides
+        meant["export.formats"] = arguments.export.split(",")
+    return arguments, [*(override(key, value) for key, value in meant.items()), *overrides]
 
 
 class _StyleFlag(argparse.Action):
@@ -247,7 +223,7 @@ class _StyleFlag(argparse.Action):
 
 
 def _styles_of(arguments: argparse.Namespace) -> tuple[StyleInput, ...]:
-    """The styles in the order of their flags, or their mixtures; if one has a place, all are one :class:`Places`."""
+    """The styles in the order of their flags, or their mixtures, or one :class:`Places` of all."""
     given = [_by_place(word, kind) for kind, word in arguments.styles]
     for kind, word in arguments.styles:
         if kind is str:
@@ -260,11 +236,9 @@ def _styles_of(arguments: argparse.Namespace) -> tuple[StyleInput, ...]:
             raise UserError("--mix applies two styles to the whole scene; leave out --mix, or the @... of the styles")
         return (Places(tuple(sorted(given, key=lambda one: one[1] is not None))),)
     styles = tuple(style for style, _ in given)
-    if not amounts:
-        return styles
-    if len(styles) != 2:
+    if amounts and len(styles) != 2:
         raise UserError(f"--mix needs exactly two styles, and {len(styles)} are given; add or drop a --text or --image")
-    return tuple(Mixture(styles[0], styles[1], amount) for amount in amounts)
+    return tuple(Mixture(styles[0], styles[1], amount) for amount in amounts) or styles
 
 
 def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput, Mask | Controls | None]:
@@ -282,53 +256,49 @@ def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput,
         return inner, replace(controls, attributes=(*controls.attributes, *attributes))
     if controls.mask is not None:
         raise UserError(f"{word} names two places; give one mask")
-    from anystyle.pipeline.masks import parsed as mask_of
+    mask = _mask(place)
+    return inner, replace(controls, mask=mask) if controls.attributes else mask
 
-    return inner, replace(controls, mask=mask_of(place)) if controls.attributes else mask_of(place)
+
+def _mask(word: str) -> Mask:
+    from anystyle.pipeline.masks import parsed
+
+    return parsed(word)
 
 
 def _controls_of(arguments: argparse.Namespace) -> list[Controls]:
     """Every combination of the values of the flags."""
-    masks: list[Mask] = []
-    if arguments.mask:
-        from anystyle.pipeline.masks import parsed as mask_of
-
-        masks = [mask_of(word) for word in arguments.mask]
-    return combinations(*(_numbers(flag, getattr(arguments, flag)) for flag in NUMBERS), mask=masks)
+    numbers = (_numbers(flag, getattr(arguments, flag)) for flag in NUMBERS)
+    return combinations(*numbers, mask=[_mask(word) for word in arguments.mask])
 
 
 def _numbers(flag: str, words: Sequence[str]) -> list[float]:
-    values = ",".join(words).split(",") if words else []
     try:
-        return [float(word) for word in values]
+        return [float(word) for word in ",".join(words).split(",")] if words else []
     except ValueError:
-        raise UserError(f"--{flag.replace('_', '-')} takes numbers, not {','.join(values)!r}") from None
+        raise UserError(f"--{flag.replace('_', '-')} takes numbers, not {','.join(words)!r}") from None
 
 
 def _styles_as_args(styles: Sequence[StyleInput]) -> list[str]:
     words: list[str] = []
-    for kind, group in groupby(styles, type):
-        match kind, tuple(group):
-            case _, (Mixture(first=first, second=second), *_) as mixed:
-                amounts = ",".join(f"{style.amount:g}" for style in mixed if isinstance(style, Mixture))
-                if any((style.first, style.second) != (first, second) for style in mixed if isinstance(style, Mixture)):
-                    raise UserError("mixtures of several pairs of styles have no command line")
-                words += [*_styles_as_args([first, second]), "--mix", amounts]
-            case _, (Places(styles=parts),):
-                for style, place in parts:
-                    flag, word = _styles_as_args([style])
-                    words += [flag, word + _place_as_text(place)]
-            case _, texts if issubclass(kind, str):
-                words += [part for text in texts for part in _flag("--text", str(text))]
-            case _, files if issubclass(kind, Path):
-                words += [part for file in files for part in _flag("--image", str(file))]
+    mixed = [style for style in styles if isinstance(style, Mixture)]
+    if mixed:
+        first, second = mixed[0].first, mixed[0].second
+        if len(mixed) < len(styles) or any((style.first, style.second) != (first, second) for style in mixed):
+            raise UserError("mixtures of several pairs of styles have no command line")
+        return [*_styles_as_args([first, second]), "--mix", ",".join(f"{style.amount:g}" for style in mixed)]
+    for style in styles:
+        match style:
+            case Places(styles=parts):
+                for part, place in parts:
+                    *flag, word = _styles_as_args([part])
+                    words += [*flag, word + _place_as_text(place)]
+            case str() | Path():
+                name, value = "--text" if isinstance(style, str) else "--image", str(style)
+                words += [f"{name}={value}"] if value.startswith("-") else [name, value]
             case _:
                 raise UserError("styles in memory have no command line; give their files")
     return words
-
-
-def _flag(name: str, value: str) -> list[str]:
-    return [f"{name}={value}"] if value.startswith("-") else [name, value]
 
 
 def _place_as_text(place: Mask | Controls | None) -> str:
@@ -339,14 +309,13 @@ def _place_as_text(place: Mask | Controls | None) -> str:
 
 def _controls_as_args(controls: Sequence[Controls]) -> list[str]:
     values = {name: list(dict.fromkeys(getattr(one, name) for one in controls)) for name in (*NUMBERS, "mask")}
-    masks = [mask for mask in values["mask"] if mask is not None]
-    if tuple(combinations(*(values[name] for name in NUMBERS), mask=masks)) != tuple(controls):
+    masks = [mask for mask in values.pop("mask") if mask is not None]
+    if tuple(combinations(*values.values(), mask=masks)) != tuple(controls):
         raise UserError("controls that are not all combinations of their values have no command line")
-    default = Controls()
     words: list[str] = []
-    for name in NUMBERS:
-        if values[name] != [getattr(default, name)]:
-            words += [f"--{name.replace('_', '-')}", ",".join(f"{value:g}" for value in values[name])]
+    for name, numbers in values.items():
+        if numbers != [getattr(Controls(), name)]:
+            words += [f"--{name.replace('_', '-')}", ",".join(f"{value:g}" for value in numbers)]
     return [*words, *(word for mask in masks for word in ("--mask", mask.text))]
 
 

@@ -23,10 +23,7 @@ _log = logging.getLogger(__name__)
 class Restyler:
     """Gives one capture its styles; what several of them share is computed once.
 
-    Args:
-        encoded: The capture.
-        method: How it takes a style.
-        keep: How many styled scenes are kept, to apply further controls to them.
+    ``keep`` styled scenes stay in memory, to apply other controls to them.
     """
 
     def __init__(self, encoded: EncodedCapture, method: Method, keep: int = 1) -> None:
@@ -38,7 +35,7 @@ class Restyler:
     @cached_property
     def unstyled(self) -> Gaussians:
         """The reconstruction itself."""
-        return _finite(self.encoded.capture.gaussians(self.encoded.stylizer.unstyled), "the unstyled scene")
+        return _finite(self.encoded.gaussians(self.encoded.stylizer.unstyled), "the unstyled scene")
 
     def __call__(self, style: EmbeddedStyle, on_progress: OnProgress = no_progress) -> Gaussians:
         """The scene in a style; ``on_progress`` is called every few seconds while the method works."""
@@ -78,7 +75,7 @@ class Restyler:
         def restyle(scene: Scene) -> Gaussians:
             return self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
 
-        return _finite(self.encoded.capture.gaussians(restyle), f"the scene in the style {style.title}")
+        return _finite(self.encoded.gaussians(restyle), f"the scene in the style {style.title}")
 
     def mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
         """How much of a style each Gaussian takes; computed once a mask."""

@@ -14,7 +14,6 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
@@ -25,7 +24,7 @@ from anystyle.pipeline.load import LoadedModel
 from anystyle.pipeline.provenance import MADE_OF, note, tables, without_folders
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
-from anystyle.pipeline.scene_files import save_gaussians, write_cameras, write_colmap
+from anystyle.pipeline.saved import save_gaussians, write_cameras, write_colmap
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
@@ -66,26 +65,30 @@ class Result:
     @property
     def report(self) -> dict[str, object]:
         """What was run on what, for ``report.json``."""
-        encoded, results = self.encoded, self.results
+        encoded, results, style = self.encoded, self.results, self.style
+        count = int((self.gaussians.opacities > 0).sum())
         report = {
-            "style": self.style.title,
-            **({"controls": self.style.controls.label} if self.style.controls.label else {}),
-            **({"texts": [asdict(match) for match in self.style.matches]} if self.style.matches else {}),
-            "gaussians": int((self.gaussians.opacities > 0).sum()),
+            "style": style.title,
+            "controls": style.controls.label,
+            "texts": [asdict(match) for match in style.matches],
+            "gaussians": count,
             "views": len(encoded.sources),
-            "groups": len(encoded.capture.groups),
-            "reconstruction": {**encoded.reconstruction, "num_gaussians": int((self.gaussians.opacities > 0).sum())},
-            "method": _method_report(results.method),
+            "groups": len(encoded.groups),
+            "reconstruction": {**encoded.reconstruction, "num_gaussians": count},
+            "method": results.method,
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),
             **results.stages.report(),
             **results.provenance,
             "licenses": licenses(results.networks),
             "notes": [line for line in encoded.notes if not line.startswith(MADE_OF)],
-            **({"offset": encoded.offset} if any(encoded.offset) else {}),
-            "provenance": tables(results.notes([self.style])),
+            "offset": encoded.offset if any(encoded.offset) else None,
+            "provenance": tables(results.notes([style])),
             "versions": VERSIONS,
         }
+        for name in ("controls", "texts", "offset"):
+            if not report[name]:
+                del report[name]
         return report if results.export.provenance else _technical(report)
 
     def scene(self) -> StyledScene:
@@ -110,36 +113,36 @@ class Result:
         return column
 
     def _write_scene(self, folder: Path) -> list[Image.Image]:
-        gaussians, encoded, options = self.gaussians, self.encoded, self.results.export
+        gaussians, encoded, results, options = self.gaussians, self.encoded, self.results, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
-        scene = self.scene()
+        scene, written = self.scene(), folder / "scene.ply"
         for name in dict.fromkeys(["ply", *options.formats]):
-            if not self.alike or name not in self.results.common_formats:
+            if not self.alike or name not in results.common_formats:
                 export_styles(scene, folder / f"scene.{name}", name, up=options.up)
-        untouched = options.up in (None, "opencv") and _same_geometry(gaussians, self.results.restyler.unstyled)
-        original, written = self.encoded.splat, folder / "scene.ply"
-        if original is not None and original.suffix.lower() == written.suffix and untouched:
+        geometry = ("means", "rotations", "scales", "opacities")
+        unchanged = (torch.equal(getattr(gaussians, n), getattr(results.restyler.unstyled, n)) for n in geometry)
+        untouched = options.up in (None, "opencv") and all(unchanged)
+        if encoded.splat is not None and encoded.splat.suffix.lower() == written.suffix and untouched:
             # A trip through float32 logarithms and back moves the last bits.
-            ply.recolor(original, gaussians.harmonics[0], written)
+            ply.recolor(encoded.splat, gaussians.harmonics[0], written)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
-        followed_names, followed = encoded.names, self.cameras
+        names, followed = encoded.targets or (encoded.names, self.cameras)
         if encoded.targets is not None:
-            followed_names, followed = encoded.targets
-            self._write_renders(folder / "targets", followed_names, followed)
-        film = StyledScene(((self.style.title, gaussians),), followed, tuple(followed_names))
-        self.results.video.write(film, folder / "video.mp4")
-        write_cameras(folder / "cameras.json", encoded)
+            self._write_renders(folder / "targets", names, followed)
+        film = StyledScene(((self.style.title, gaussians),), followed, tuple(names))
+        results.video.write(film, folder / "video.mp4")
+        cameras, sources = encoded.cameras.to("cpu"), encoded.sources
+        write_cameras(folder / "cameras.json", cameras, sources, encoded.offset, encoded.scene_from_known)
         if options.colmap != "none":
-            write_colmap(folder / "sparse" / "0", gaussians, encoded, binary=options.colmap == "binary")
+            write_colmap(folder / "sparse" / "0", gaussians, cameras, sources, binary=options.colmap == "binary")
         return renders
 
     def _write_renders(self, folder: Path, names: Sequence[str], cameras: Cameras) -> list[Image.Image]:
         folder.mkdir()
-        renders: list[Image.Image] = []
-        for name, image in zip(names, self.render(cameras), strict=True):
-            renders.append(to_pil(image))
-            save_png(renders[-1], folder / f"{name}.png")
+        renders = [to_pil(image) for image in self.render(cameras)]
+        for name, image in zip(names, renders, strict=True):
+            save_png(image, folder / f"{name}.png")
         return renders
 
 
@@ -163,12 +166,13 @@ class Results:
         stages: Stages,
     ) -> None:
         self.restyler = Restyler(encoded, model.method)
-        self.export, self.method, self.stages = request.export, model.method, stages
+        self.export, self.stages = request.export, stages
         if not self.export.provenance:
             encoded, styles = _anonymous(encoded, styles)
         self.encoded, self.styles = encoded, tuple(styles)
-        own = {source.network: asdict(source) for source in model.method.sources}
-        self.networks = model.weights | {name: entry for name, entry in own.items() if entry["file"]}
+        own = [asdict(source) for source in model.method.sources]
+        self.method = {"kind": catalog().name_of("method", type(model.method)), "networks": own}
+        self.networks = model.weights | {entry["network"]: entry for entry in own if entry["file"]}
         self.provenance = {
             "weights": model.weights,
             "seed": request.seed,
@@ -278,8 +282,7 @@ class Results:
     def unstyled(self) -> Column:
         """The column of the reconstruction itself."""
         with self.stages("render", "the unstyled scene"):
-            renders = [to_pil(image) for image in self.encoded.render(self.restyler.unstyled)]
-            return "unstyled", None, thumbnails(renders)
+            return "unstyled", None, thumbnails(list(map(to_pil, self.encoded.render(self.restyler.unstyled))))
 
 
 def _anonymous(
@@ -311,17 +314,3 @@ def _again(request: Request, model: LoadedModel) -> list[str] | None:
         return [re.sub(r"(^|=)/(?:.*/)?([^/]+)$", r"\1\2", word) for word in request.args()] if model.named else None
     except UserError:
         return None
-
-
-def _same_geometry(first: Gaussians, second: Gaussians) -> bool:
-    """Whether two scenes differ in nothing but colours."""
-    names = ("means", "rotations", "scales", "opacities")
-    return all(torch.equal(getattr(first, name), getattr(second, name)) for name in names)
-
-
-def _method_report(method: Method) -> dict[str, object]:
-    """What stylized a scene, for ``report.json``: the method, and the networks that it uses."""
-    return {
-        "kind": catalog().name_of("method", type(method)),
-        "networks": [asdict(source) for source in method.sources],
-    }

@@ -1,21 +1,27 @@
-"""Reading saved scenes: a folder that ``anystyle stylize`` wrote, or a file of Gaussians."""
+"""The files of a scene besides renders, and reading them back: a folder of results, or a file of Gaussians."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
+from torch import Tensor
 
 from anystyle.contracts import Format, StoredCamera
-from anystyle.data.names import distinct, short_names
+from anystyle.data.names import distinct, names_below, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
+from anystyle.geometry.harmonics import rgb_from_constant
+from anystyle.geometry.transforms import Similarity
 from anystyle.io import video
+from anystyle.io.atomic import write_json
+from anystyle.io.checkpoint import save_tensors
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
@@ -23,10 +29,13 @@ from anystyle.pipeline.provenance import MADE_OF, note
 from anystyle.ranges import Count
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
 from anystyle.vision import weights
 
 UNSTYLED = "unstyled"
+CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
+MAX_POINTS = 100_000
+"""Points of a COLMAP export: what an optimisation of Gaussians starts from."""
 _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
@@ -63,6 +72,67 @@ class SavedReport:
     provenance: list[dict[str, object]] = field(default_factory=list)
 
 
+def save_gaussians(gaussians: Gaussians, path: Path) -> None:
+    """Write every tensor of some Gaussians, without the loss of the PLY's conventions, as safetensors."""
+    tensors = {item.name: getattr(gaussians, item.name).detach().cpu().contiguous() for item in fields(gaussians)}
+    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"})
+
+
+def write_cameras(
+    path: Path,
+    cameras: Cameras,
+    sources: Sequence[SourceImage],
+    offset: Offset = NEAR,
+    scene_from_known: Similarity | None = None,
+) -> None:
+    """Write the cameras of views as readable JSON, with intrinsics in pixels of their sources.
+
+    Where known cameras were given, the similarity from their frame to the scene's is written as well.
+    """
+    matrices = zip(_source_intrinsics(cameras, sources), cameras.world_from_camera[0], strict=True)
+    views = [
+        {"name": source.name, "height": source.size[0], "width": source.size[1]}
+        | {"intrinsics": intrinsics.tolist(), "world_from_camera": pose.tolist()}
+        for source, (intrinsics, pose) in zip(sources, matrices, strict=True)
+    ]
+    content: dict[str, object] = {"convention": CONVENTION, "views": views}
+    if any(offset):
+        content["offset"] = {"meaning": "to add to all positions", "xyz": offset}
+    if scene_from_known is not None:
+        content["scene_from_known"] = {
+            "meaning": "scene = scale * rotation @ known + translation",
+            **{name: value.tolist() for name, value in scene_from_known._asdict().items()},
+        }
+    write_json(path, content)
+
+
+def write_colmap(
+    folder: Path, gaussians: Gaussians, cameras: Cameras, sources: Sequence[SourceImage], *, binary: bool
+) -> None:
+    """Write one scene as a COLMAP model: cameras in source pixels, images, and the most opaque Gaussians as points."""
+    from anystyle.io import colmap
+
+    opacities, cameras = gaussians.opacities[0].cpu(), cameras.to(torch.float64)
+    most_opaque = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
+    rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[most_opaque])
+    paths = [source.path for source in sources if source.path is not None]
+    files = dict(zip(paths, names_below(paths), strict=True))
+    model = colmap.pinhole_model(
+        [f"{source.name}.png" if source.path is None else files[source.path] for source in sources],
+        [source.size for source in sources],
+        _source_intrinsics(cameras, sources).numpy(),
+        cameras.camera_from_world[0].numpy(),
+        gaussians.means[0].cpu()[most_opaque].double().numpy(),
+        (rgb.clamp(0, 1) * 255).round().byte().numpy(),
+    )
+    colmap.write(model, folder, binary=binary)
+
+
+def _source_intrinsics(cameras: Cameras, sources: Sequence[SourceImage]) -> Float[Tensor, "V 3 3"]:
+    pairs = zip(sources, cameras.intrinsics[0], strict=True)
+    return torch.stack([source.source_intrinsics(matrix) for source, matrix in pairs])
+
+
 def unstyled_of(scene: StyledScene) -> Gaussians:
     """The scene itself; where it was not saved, the last of the styles."""
     return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
@@ -89,35 +159,30 @@ def with_stored_cameras(scene: StyledScene, path: Path, stored_in: str | None = 
         if stored := cameras_beside(folder, scene.offset):
             size = next(iter(stored.values())).size
             alike = {name: camera for name, camera in stored.items() if camera.size == size}
-            matrices = ([getattr(c, part) for c in alike.values()] for part in ("world_from_camera", "intrinsics"))
-            poses, intrinsics = (torch.from_numpy(np.stack(each)).float()[None] for each in matrices)
-            return replace(
-                scene,
-                cameras=Cameras(poses, intrinsics, size),
-                names=tuple(short_names([PurePosixPath(name) for name in alike])),
-            )
+            poses = np.stack([camera.world_from_camera for camera in alike.values()])
+            intrinsics = np.stack([camera.intrinsics for camera in alike.values()])
+            cameras = Cameras(torch.from_numpy(poses).float()[None], torch.from_numpy(intrinsics).float()[None], size)
+            names = tuple(short_names([PurePosixPath(name) for name in alike]))
+            return replace(scene, cameras=cameras, names=names)
     return scene
 
 
 def cameras_beside(folder: Path, offset: Offset) -> dict[str, StoredCamera]:
     """The cameras that are stored in a folder, without the offset of the scene where they have it."""
     stored = stored_cameras(folder)
-    shift = np.zeros((4, 4))
-    shift[:3, 3] = offset
     centers = np.array([camera.world_from_camera[:3, 3] for camera in stored.values()]).reshape(-1, 3)
     if np.abs(centers - offset).sum() >= np.abs(centers).sum():
         return stored
-    moved = {name: camera.world_from_camera - shift for name, camera in stored.items()}
-    return {name: replace(camera, world_from_camera=moved[name]) for name, camera in stored.items()}
+    shift = np.pad(np.array(offset)[:, None], ((0, 1), (3, 0)))
+    return {
+        name: replace(camera, world_from_camera=camera.world_from_camera - shift) for name, camera in stored.items()
+    }
 
 
 def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> StyledScene:
-    """Read a folder of results, or a file of Gaussians as it is.
+    """Read a folder of results, or a file of Gaussians in its own axes, which are ``up`` or what it says.
 
-    Args:
-        path: The folder or the file.
-        up: The axes of a file, one of :data:`~anystyle.pipeline.options.AXES`; ``None`` is what it says.
-        activated: Whether a file holds lengths and opacities in [0, 1] where its format has logarithms and logits.
+    ``activated`` files hold lengths and opacities in [0, 1] where their format has logarithms and logits.
     """
     if path.is_file() and is_scene_file(path):
         scene = build(Format, path.suffix[1:].lower(), activated=activated).read(path)
@@ -127,23 +192,28 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
             notes = (*notes, note("scene", [path]))
         return replace(scene, notes=notes, up=up or scene.up)
     if not (path / "report.json").is_file():
-        raise UserError(f"{path} has no scene that anystyle stylize wrote, and is no file of a format that is read")
-    whole = read_json(path / "report.json", SavedReport, what="report")
+        raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
+    whole = _report(path)
     # A folder may hold results of earlier runs beside those that its report is of.
     folders = [path] if isinstance(whole.style, str) else sorted(file.parent for file in path.glob("*/report.json"))
-    reports = [read_json(folder / "report.json", SavedReport, what="report") for folder in folders]
-    styles = [
-        (str(report.style), read_gaussians(folder / "scene.safetensors"))
-        for folder, report in zip(folders, reports, strict=True)
-        if report.style in (whole.style if isinstance(whole.style, list) else [whole.style])
-    ]
+    titles = [whole.style] if isinstance(whole.style, str) else whole.style
+    reports = {folder: report for folder in folders if (report := _report(folder)).style in titles}
+    styles = [(str(report.style), read_gaussians(folder / "scene.safetensors")) for folder, report in reports.items()]
     if not styles:
         raise UserError(f"{path / 'report.json'} lists results that are missing")
     unstyled = path / "unstyled.safetensors"
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
-    cameras, names = _cameras(folders[0] / "cameras.json")
-    return StyledScene(tuple(styles), cameras, names, tuple(_notes(reports[0], whole)), offset=whole.offset)
+    first, report = next(iter(reports.items()))
+    cameras, names = _cameras(first / "cameras.json")
+    made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
+    lines = (made, *weights.license_lines(report.licenses), *report.notes)
+    notes = (*lines, *(MADE_OF + json.dumps(table) for table in whole.provenance))
+    return StyledScene(tuple(styles), cameras, names, notes, offset=whole.offset)
+
+
+def _report(folder: Path) -> SavedReport:
+    return read_json(folder / "report.json", SavedReport, what="report")
 
 
 def read_gaussians(path: Path) -> Gaussians:
@@ -170,9 +240,3 @@ def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
     poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
     intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
     return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
-
-
-def _notes(report: SavedReport, whole: SavedReport) -> Iterator[str]:
-    yield f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
-    yield from (*weights.license_lines(report.licenses), *report.notes)
-    yield from (MADE_OF + json.dumps(table) for table in whole.provenance)

@@ -5,21 +5,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
+import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import StoredCamera
 from anystyle.data.folder import covering
 from anystyle.data.names import short_names
 from anystyle.data.poses import view_camera
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.limits import require
-from anystyle.pipeline import memory
-from anystyle.pipeline.encode import EncodedCapture, encoder, scene_report
+from anystyle.pipeline.encode import EncodedCapture, Group, available, encoder, scene_report
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.groups import Capture
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.saved import cameras_beside, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
@@ -41,12 +38,7 @@ def encode_saved(
 ) -> EncodedCapture:
     """Read a saved scene, render it from cameras that are stored with it or chosen, and encode the renders.
 
-    Args:
-        path: A file of Gaussians, or a folder of results; of several styles the unstyled scene is taken.
-        stylizer: In ``eval`` mode, on the device to compute on.
-        views: The size of the renders.
-        options: Where the scene is seen from.
-        stages: Times the work.
+    Of a folder of results in several styles the unstyled scene is taken; ``views`` say the size of the renders.
     """
     start, patch = time.perf_counter(), stylizer.backbone.patch_size
     with stages("read", "the Gaussians"):
@@ -57,24 +49,20 @@ def encode_saved(
         line = require_splat(gaussians.means.shape[1], len(sources), stylizer.device)
     with stages("encode", f"{line}; cameras {origin}"):
         scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.render, encoder(stylizer))
-    capture = Capture.of(scene)
-    report = scene_report("given", capture, time.perf_counter() - start, {}) | {"cameras": origin}
+    report = scene_report("given", len(sources), start, {}) | {"cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
     original = path if path.is_file() and given.up == "opencv" and not options.activated else None
+    groups = Group.whole(scene)
     return EncodedCapture(
-        stylizer, seen, sources, capture, report, splat=original, notes=given.notes, offset=saved.offset
+        stylizer, seen, sources, groups, report, splat=original, notes=given.notes, offset=saved.offset
     )
-
-
-def memory_needed(num_gaussians: int, num_views: int) -> int:
-    """Bytes that rendering and colouring take beside the process as it is."""
-    return num_gaussians * (BYTES + BYTES_A_VIEW * num_views)
 
 
 def require_splat(num_gaussians: int, num_views: int, device: torch.device) -> str:
     """Refuse a scene that memory does not hold; a line on what it will take."""
-    needed, what = memory_needed(num_gaussians, num_views), f"{num_gaussians:,} Gaussians from {num_views} views"
-    if (free := memory.available(device)) is not None:
+    needed = num_gaussians * (BYTES + BYTES_A_VIEW * num_views)
+    what = f"{num_gaussians:,} Gaussians from {num_views} views"
+    if (free := available(device)) is not None:
         require(needed, what, "set fewer views with splat.cameras", free)
     return f"{what} take about {needed / 2**30:.2g} GiB"
 
@@ -84,10 +72,8 @@ def cameras_of(
 ) -> tuple[Cameras, tuple[SourceImage, ...], str]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Sides of renders are multiples of ``multiple``; the shorter is ``resolution`` unless ``views`` give it.
-
-    Returns:
-        Cameras, what their images are called, and where they come from.
+    Sides of renders are multiples of ``multiple``; the shorter is ``resolution`` unless ``views`` give it. Beside the
+    cameras it returns what their images are called, and where they come from.
     """
     side = max(multiple, round((views.short_side or resolution) / multiple) * multiple)
     stored = {} if options.folder else saved_cameras(saved)
@@ -99,19 +85,12 @@ def cameras_of(
         return around(unstyled_of(saved), options.cameras, side), sources, "chosen around the scene"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
-    first = stored[names[chosen[0]]]
-    size = common_shape(first, side, multiple)
+    whole = stored[names[chosen[0]]].size
+    height, width = (max(multiple, round(length * side / min(whole) / multiple) * multiple) for length in whole)
     called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
-    sources = tuple(covering(called[index], stored[names[index]].size, size) for index in chosen)
+    sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
     return Cameras.cat(cameras, dim=1), sources, "stored beside it"
-
-
-def common_shape(camera: StoredCamera, side: int, multiple: int) -> tuple[int, int]:
-    """Height and width of renders with the aspect of a stored camera's image."""
-    scale = side / min(camera.size)
-    height, width = (max(multiple, round(length * scale / multiple) * multiple) for length in camera.size)
-    return height, width
 
 
 def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
@@ -119,9 +98,14 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
 
     Middle and radius are medians weighted by opacity, so that a few floaters far away move neither.
     """
-    means, weights = gaussians.means[0], gaussians.opacities[0]
-    middle = torch.stack([_weighted_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
-    radius = _weighted_quantile((means - middle).norm(dim=1), weights, 0.8)
+    means, weights = gaussians.means[0], gaussians.opacities[0].double().cpu().numpy()
+
+    def quantile(values: Tensor, fraction: float) -> Tensor:
+        data = values.cpu().numpy()
+        return means.new_tensor(np.quantile(data, fraction, axis=0, weights=weights, method="inverted_cdf"))
+
+    middle = quantile(means, 0.5)
+    radius = quantile((means - middle).norm(dim=1), 0.8)
     turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
     rise = torch.deg2rad(torch.tensor(ELEVATIONS))[torch.arange(number) % len(ELEVATIONS)]
     towards = torch.stack([rise.cos() * turn.cos(), -rise.sin(), rise.cos() * turn.sin()], dim=1).to(means)
@@ -132,13 +116,6 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
     )
 
 
-def _weighted_quantile(values: Float[Tensor, " N"], weights: Float[Tensor, " N"], fraction: float) -> Tensor:
-    order = values.argsort()
-    total = weights[order].double().cumsum(0)
-    index = int(torch.searchsorted(total, fraction * total[-1]))
-    return values[order[min(index, len(order) - 1)]]
-
-
 @torch.no_grad()
 def scene_of_splat(
     gaussians: Gaussians,
@@ -146,14 +123,7 @@ def scene_of_splat(
     render: Callable[[Gaussians, Cameras], Renders],
     encode: Callable[[Views], Scene],
 ) -> Scene:
-    """The renders of given Gaussians, encoded with known cameras, as a scene that has these Gaussians.
-
-    Args:
-        gaussians: A batch of one, in the frame of the cameras.
-        cameras: For images whose sides are multiples of the backbone's patch.
-        render: Renders a batch of scenes.
-        encode: Encodes views with cameras.
-    """
+    """The renders of given Gaussians, a batch of one, encoded with known cameras, as a scene that has these."""
     renders = [render(gaussians, cameras.select([view])) for view in range(cameras.intrinsics.shape[1])]
     images, alpha = (torch.cat([getattr(render, name) for render in renders], dim=1) for name in ("color", "alpha"))
     depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)

@@ -11,10 +11,6 @@ INTERVAL = 5.0
 """Seconds between two reports of progress within a stage."""
 
 
-def _ignore(stage: str, progress: Progress) -> None:
-    """No-op."""
-
-
 class Stages:
     """Times the stages of one run.
 
@@ -22,7 +18,7 @@ class Stages:
         report: Called with a stage's name as it begins, and every few seconds while it goes on.
     """
 
-    def __init__(self, report: Callable[[str, Progress], None] = _ignore) -> None:
+    def __init__(self, report: Callable[[str, Progress], None] = lambda stage, progress: None) -> None:
         self.seconds: dict[str, float] = {}
         self._report = report
         self._reported = 0.0

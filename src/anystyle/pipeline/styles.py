@@ -94,7 +94,7 @@ class EmbeddedStyle:
 
 
 def check_text(text: str, what: str = "the text of a style") -> None:
-    """Raise a UserError for a description that is empty or longer than :data:`MAX_TEXT`."""
+    """Refuse a description that is empty or longer than :data:`MAX_TEXT`."""
     if not text.strip():
         raise UserError(f"{what} is empty; say what the result should look like")
     if len(text) > MAX_TEXT:
@@ -104,17 +104,14 @@ def check_text(text: str, what: str = "the text of a style") -> None:
 def check_styles(styles: Sequence[StyleInput]) -> None:
     """Refuse texts that are empty and image files that are not there or no images, before networks are loaded."""
     for style in styles:
-        match style:
-            case str():
-                check_text(style)
-            case Path():
-                image_size(resolved(style))
-            case Mixture():
-                check_styles([style.first, style.second])
-            case Places():
-                check_styles([part for part, _ in style.styles])
-            case _:
-                pass
+        if isinstance(style, str):
+            check_text(style)
+        elif isinstance(style, Path):
+            image_size(resolved(style))
+        elif isinstance(style, Mixture):
+            check_styles([style.first, style.second])
+        elif isinstance(style, Places):
+            check_styles([part for part, _ in style.styles])
 
 
 def embed_styles(
@@ -124,19 +121,18 @@ def embed_styles(
     embedded: dict[tuple[int, float], EmbeddedStyle] = {}
 
     def embed(style: StyleInput, scale: float) -> EmbeddedStyle:
-        if (id(style), scale) not in embedded:
-            if isinstance(style, Mixture):
-                mixed = mix(embed(style.first, scale), embed(style.second, scale), style.amount)
-                embedded[id(style), scale] = mixed
-            elif isinstance(style, Places):
-                parts = [
-                    replace(embed(part, scale), controls=place if isinstance(place, Controls) else Controls(mask=place))
-                    for part, place in style.styles
-                ]
-                embedded[id(style), scale] = placed(parts)
-            else:
-                embedded[id(style), scale] = _embed(style, stylizer, scale)
-        return embedded[id(style), scale]
+        if (id(style), scale) in embedded:
+            return embedded[id(style), scale]
+        match style:
+            case Mixture(first=first, second=second, amount=amount):
+                result = mix(embed(first, scale), embed(second, scale), amount)
+            case Places(styles=styles):
+                places = [place if isinstance(place, Controls) else Controls(mask=place) for _, place in styles]
+                parts = zip(styles, places, strict=True)
+                result = placed([replace(embed(part, scale), controls=place) for (part, _), place in parts])
+            case _:
+                result = _embed(style, stylizer, scale)
+        return embedded.setdefault((id(style), scale), result)
 
     return [embed(style, one.scale).under(one) for style in styles for one in controls]
 
@@ -173,9 +169,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
 
 def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
     match = stylizer.style_encoder.match_text(text)
-    if match is None:
-        return ()
-    if match.unknown_words:
+    if match is not None and match.unknown_words:
         _log.warning(
             "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)%s",
             text,
@@ -184,7 +178,7 @@ def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
             match.similarity,
             match.remedy and f"; {match.remedy}",
         )
-    return (match,)
+    return () if match is None else (match,)
 
 
 def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedStyle:

@@ -65,7 +65,7 @@ def stylize(
         out: A folder to write all results to; without one each is written when it is saved.
         export: Which files a result has.
         video: Options of the film of each result, such as ``{"path": "orbit"}``: those of the format ``mp4``.
-        seed: Of random numbers.
+        seed: The seed of random numbers.
         stages: Times and reports the work.
 
     Returns:

@@ -64,13 +64,14 @@ def load_reference(
 def reference_config(state: Mapping[str, Tensor], overrides: Sequence[str] = ()) -> DictConfig:
     """The configuration that a checkpoint in the original layout fits, read off its tensors."""
     given = {word.partition("=")[0] for word in overrides}
+    keys: dict[str, object] = {"style_encoder": "long_clip", "placement": "head"}
 
-    def composed(keys: Mapping[str, object]) -> DictConfig:
+    def composed() -> DictConfig:
         chosen = [override(key, value) for key, value in keys.items() if key not in given]
         return compose("stylize", ["~model", *chosen, *overrides])
 
-    common: dict[str, object] = {"style_encoder": "long_clip", "placement": "head"}
-    return composed(common | published_by(composed(common)).config(state))
+    keys |= published_by(composed()).config(state)
+    return composed()
 
 
 def _state(given: Mapping[str, Tensor] | str | Path) -> Mapping[str, Tensor]:

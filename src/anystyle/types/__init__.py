@@ -15,17 +15,16 @@ from anystyle.types.network import (
     Geometry,
     Inject,
     Site,
+    Source,
     Tokens,
     contiguous,
     matching_sites,
     untouched,
 )
-from anystyle.types.photographs import Original, SourceImage
 from anystyle.types.progress import OnProgress, Progress, no_progress
 from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene, StyledScene
-from anystyle.types.source import Source
-from anystyle.types.value import Value
-from anystyle.types.views import Cameras, Style, StyleEmbedding, TextMatch, Views
+from anystyle.types.shapes import Value
+from anystyle.types.views import Cameras, Original, SourceImage, Style, StyleEmbedding, TextMatch, Views
 
 __all__ = [
     "Attributes",

@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.types.scene import Gaussians, Renders, Scene
-from anystyle.types.value import Value
+from anystyle.types.shapes import Value
 from anystyle.types.views import Cameras, Style, StyleEmbedding, Views
 
 
@@ -18,12 +18,12 @@ class Comparison(Value):
         content: The photographs.
         stylized: The results, view by view.
         style: The references.
-        cameras: Of the views, where known.
+        cameras: The cameras of the views, where known.
         depth: Distance along z in each view, where known; 0 where there is none.
-        scenes: One name a row of the batch.
-        styles: One name a row of the batch.
-        numbers: Of the views in the sequence that they were taken from, ascending; they follow each other if empty.
-        seconds: That each row took, from the style to the rendered views, where known.
+        scenes: One name per row of the batch.
+        styles: One name per row of the batch.
+        numbers: The views' numbers in the sequence they were taken from, ascending; they follow each other if empty.
+        seconds: What each row took, from the style to the rendered views, where known.
     """
 
     content: Float[Tensor, "B V 3 H W"]
@@ -59,8 +59,8 @@ class Stylization(Value):
         embedding: What the style entered as.
         scene: As the backbone encoded it.
         gaussians: Stylized.
-        renders: Of the stylized scene at the scene's own cameras.
-        unstyled: Of the scene without a style, where a loss asks for it (``Loss.needs_unstyled``).
+        renders: Renders of the stylized scene at the scene's own cameras.
+        unstyled: Renders of the scene without a style, where a loss asks for it (``Loss.needs_unstyled``).
     """
 
     views: Views

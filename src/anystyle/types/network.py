@@ -1,4 +1,4 @@
-"""Tokens, sites and raw predictions: values inside a network."""
+"""Tokens, sites and raw predictions: values inside a network, and which weights it has."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.types.value import Value
+from anystyle.types.shapes import Value
 from anystyle.types.views import Cameras
 
 
@@ -104,7 +104,7 @@ class Geometry(Value):
     Args:
         cameras: The predicted cameras, for the input views' size.
         depth: As the backbone defines it and its adapter reads it, in the scene's units.
-        confidence: Of the depth, at least 0; larger is surer.
+        confidence: Confidence of the depth, at least 0; larger is surer.
     """
 
     cameras: Cameras
@@ -137,7 +137,7 @@ class Geometry(Value):
 
 @dataclass(frozen=True)
 class Attributes(Value):
-    """Raw outputs of a Gaussian head, one Gaussian a pixel, before any activation.
+    """Raw outputs of a Gaussian head, one Gaussian per pixel, before any activation.
 
     Args:
         opacity: Logits.
@@ -162,3 +162,21 @@ class Attributes(Value):
     def with_degree(self, degree: int) -> "Attributes":
         """These attributes with colours cut to the spherical harmonics up to ``degree``."""
         return replace(self, color=self.color[..., : (degree + 1) ** 2])
+
+
+@dataclass(frozen=True)
+class Source:
+    """The weights of one network.
+
+    Figures of a stand-in for a network are comparable with those of the same stand-in only.
+    """
+
+    network: str
+    file: str = ""  # its name, empty if none was read
+    sha256: str = ""  # of its content, in hexadecimal
+    stand_in: str | None = None
+
+    @property
+    def identity(self) -> str:
+        """Equal for equal weights."""
+        return f"{self.network}:{self.stand_in}:{self.sha256}"

@@ -12,7 +12,7 @@ from torch import Tensor
 from anystyle.io import ply
 from anystyle.io.splats import NEAR, Offset, Splats
 from anystyle.types.network import Attributes, Features, Geometry, Tokens
-from anystyle.types.value import Given, Value
+from anystyle.types.shapes import Given, Value
 from anystyle.types.views import Cameras, Views
 
 
@@ -71,7 +71,7 @@ class Scene(Value):
         stem: From the backbone's embedder.
         features: From its aggregator.
         geometry: Cameras and depth.
-        attributes: One raw Gaussian a pixel.
+        attributes: One raw Gaussian per pixel.
         clusters: Which pixels become which Gaussian; ``None`` where each is its own.
         gaussians: Fitted or given Gaussians, coloured by the pixels that a style branch predicts; ``None`` if they are
             the backbone's.
@@ -124,8 +124,8 @@ class StyledScene:
 
     Args:
         styles: Titles, and batches of one scene.
-        cameras: A batch of one scene; there may be none.
-        names: Of the cameras.
+        cameras: A batch of one scene; it may be empty.
+        names: Names of the cameras.
         notes: Lines on where the scene comes from, such as licences.
         title: To display.
         up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.

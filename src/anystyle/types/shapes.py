@@ -1,12 +1,13 @@
-"""Comparing values with the shapes and kinds of number that their annotations declare."""
+"""Frozen dataclasses of tensors that torch can traverse, of the shapes and kinds of number that they declare."""
 
 import functools
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, Union, get_args, get_origin
+from typing import Any, TypeVar, Union, get_args, get_origin
 
 import torch
+import torch.utils._pytree as pytree
 from jaxtyping import AbstractArray
 from torch import Tensor
 
@@ -100,3 +101,67 @@ def _kind(array: Any) -> str:
 
 def _article(name: str) -> str:
     return f"{'an' if name[:1] in 'AEIOUaeiou' else 'a'} {name}"
+
+
+def _flatten(value: Any) -> tuple[list[Any], tuple[str, ...]]:
+    names = tuple(item.name for item in fields(value))
+    return [getattr(value, name) for name in names], names
+
+
+def _unflatten(cls: type, children: Any, names: Any) -> Any:
+    # Not through the constructor: a pytree may hold other leaves than tensors for a while.
+    value = object.__new__(cls)
+    for name, child in zip(names, children, strict=True):
+        object.__setattr__(value, name, child)
+    return value
+
+
+AnyValue = TypeVar("AnyValue", bound="Value")
+
+
+class Value:
+    """A frozen dataclass of tensors that torch can traverse as a pytree."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        pytree.register_pytree_node(cls, _flatten, functools.partial(_unflatten, cls))
+
+    def map(self: AnyValue, function: Callable[[Tensor], Tensor]) -> AnyValue:
+        """This value with ``function`` applied to every tensor in it."""
+        return pytree.tree_map_only(Tensor, function, self)
+
+    def row(self: AnyValue, index: int) -> AnyValue:
+        """One row of the batch, as a batch of one."""
+        return self.map(lambda tensor: tensor[index : index + 1])
+
+    def to(self: AnyValue, target: torch.device | torch.dtype | str) -> AnyValue:
+        """This value on another device, or with its floating-point tensors in another dtype."""
+        if isinstance(target, torch.dtype):
+            return self.map(lambda tensor: tensor.to(target) if tensor.is_floating_point() else tensor)
+        return self.map(lambda tensor: tensor.to(target))
+
+    def detach(self: AnyValue) -> AnyValue:
+        """This value without its history of gradients."""
+        return self.map(Tensor.detach)
+
+    @classmethod
+    def cat(cls: type[AnyValue], values: Sequence[AnyValue], dim: int = 0) -> AnyValue:
+        """Values of equal structure joined along an axis of all their tensors; the rest is the first one's."""
+        if len(values) == 1:
+            return values[0]
+
+        def join(first: Any, *others: Any) -> Any:
+            return torch.cat([first, *others], dim) if isinstance(first, Tensor) else first
+
+        return pytree.tree_map(join, *values)
+
+    def expand(self: AnyValue, batch: int) -> AnyValue:
+        """This value of one scene seen as ``batch`` equal scenes, without a copy."""
+        return self.map(lambda tensor: tensor.expand(batch, *tensor.shape[1:]))
+
+
+class Given(Value):
+    """A value that people make: its tensors have the shapes that it declares, or a UserError says what differs."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)

@@ -1,13 +1,17 @@
 """Inputs: photographs, cameras and styles."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
+from PIL import Image
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.types.value import Given
+from anystyle.types.shapes import Given
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ class Views(Given):
         images: sRGB in [0, 1].
         cameras: Where they are known.
         depth: Distance along the camera's z axis, where it is known; 0 where a pixel has none.
-        names: One a view, the same for every scene of the batch; may be empty.
+        names: One per view, the same for every scene of the batch; may be empty.
         alpha: How much of a pixel is covered, in [0, 1]: where it is 0, nothing is there. The images are over white.
             ``None`` is 1 everywhere.
         counted: Where a photograph is to be learnt from; elsewhere it shows what is not part of the scene, such as
@@ -73,13 +77,11 @@ class Views(Given):
 
     def select(self, views: list[int]) -> "Views":
         """Some of the views, in the order asked for."""
+        given = {name: getattr(self, name) for name in ("images", "depth", "alpha", "counted")}
         return Views(
-            images=self.images[:, views],
             cameras=None if self.cameras is None else self.cameras.select(views),
-            depth=None if self.depth is None else self.depth[:, views],
             names=tuple(self.names[view] for view in views) if self.names else (),
-            alpha=None if self.alpha is None else self.alpha[:, views],
-            counted=None if self.counted is None else self.counted[:, views],
+            **{name: None if value is None else value[:, views] for name, value in given.items()},
         )
 
 
@@ -89,9 +91,9 @@ class Style(Given):
 
     Args:
         image: sRGB in [0, 1]; undefined where ``has_image`` is false.
-        text: One description a scene; an empty one means there is none.
+        text: One description per scene; an empty one means there is none.
         has_image: Which rows of ``image`` hold one; ``None`` means all.
-        names: One a style; may be empty.
+        names: One per style; may be empty.
     """
 
     image: Float[Tensor, "B 3 h w"] | None = None
@@ -147,3 +149,56 @@ class TextMatch:
     similarity: float
     unknown_words: tuple[str, ...]
     remedy: str = ""
+
+
+@dataclass(frozen=True)
+class SourceImage:
+    """Where a view comes from, and what part of the source it shows.
+
+    Sizes are height and width in pixels.
+    """
+
+    name: str  # of the file without suffix, or of the video with the frame's number
+    size: tuple[int, int]  # of the upright source
+    box: tuple[float, float, float, float]  # left, top, right and bottom of what the view shows, in source pixels
+    view_size: tuple[int, int]
+    path: Path | None = None  # where the source is an image file
+    straightened: Callable[[Image.Image], Image.Image] | None = None
+    """Undistorts an upright picture of the source, at any resolution, where the source was undistorted."""
+
+    def of_view(self, picture: Image.Image) -> Image.Image:
+        """What the view shows of an upright picture of the source, such as a mask, at any resolution."""
+        straight = picture if self.straightened is None else self.straightened(picture)
+        x, y = straight.width / self.size[1], straight.height / self.size[0]
+        left, top, right, bottom = self.box
+        size = (self.view_size[1], self.view_size[0])
+        # Rounding may put the box a little outside of the picture, which the resampling refuses.
+        box = (left * x, top * y, min(right * x, straight.width), min(bottom * y, straight.height))
+        return straight.resize(size, box=box)
+
+    def source_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
+        """Intrinsics in pixels of the view as intrinsics in pixels of the source."""
+        left, top, right, bottom = self.box
+        x, y = (right - left) / self.view_size[1], (bottom - top) / self.view_size[0]
+        return intrinsics.new_tensor([[x, 0.0, left], [0.0, y, top], [0.0, 0.0, 1.0]]) @ intrinsics
+
+    def view_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
+        """Intrinsics in pixels of the source as intrinsics in pixels of the view."""
+        left, top, right, bottom = self.box
+        x, y = self.view_size[1] / (right - left), self.view_size[0] / (bottom - top)
+        return intrinsics.new_tensor([[x, 0.0, -left * x], [0.0, y, -top * y], [0.0, 0.0, 1.0]]) @ intrinsics
+
+
+class Original(NamedTuple):
+    """A photograph as it was taken, upright and maybe reduced, under a distinct name.
+
+    The size is the source's height and width in pixels; frames of videos have no path, and of EXIF data their lens's.
+    The mask, of the picture's size, is black where it does not count, such as where it is transparent.
+    """
+
+    name: str
+    path: Path | None
+    size: tuple[int, int]
+    picture: Image.Image
+    exif: Image.Exif
+    mask: Image.Image | None = None

@@ -8,7 +8,7 @@ from PIL import Image
 
 from anystyle.data.folder import read_views
 from anystyle.data.poses import read_poses
-from anystyle.pipeline.camera_files import from_files
+from anystyle.pipeline.cameras import from_files
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.camera_files.realityscan import world_from_camera
