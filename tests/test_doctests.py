@@ -13,6 +13,7 @@ MODULES = (
     "anystyle.registry.build",
     "anystyle.registry.catalog",
     "anystyle.types.views",
+    "anystyle_tiny.losses",
 )
 
 

@@ -1,5 +1,7 @@
 """A scene of two colours, its picture, and how well each format keeps it."""
 
+from functools import cache
+
 import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb
@@ -11,6 +13,7 @@ LEAST = {"ply": 80, "glb": 80, "usdc": 80, "spz": 36, "sog": 34, "splat": 36}
 """PSNR in dB of a picture from the file against one from the scene; quantised formats lose a little."""
 
 
+@cache
 def scene(coefficients=4, count=400):
     """Nothing alike left and right, up and down: a red cloud above right, a green one below left, rods that lean."""
     generator = torch.Generator().manual_seed(0)
@@ -35,6 +38,7 @@ def camera():
     return Cameras(torch.eye(4)[None, None], intrinsics[None, None], SIZE)
 
 
+@cache
 def picture(gaussians):
     return TorchRenderer()(gaussians, camera()).color[0, 0]
 

@@ -1,19 +1,59 @@
-"""Numbers in few bits, and an order in which they compress well."""
+"""Scenes as arrays, numbers in few bits, and an order in which they compress well."""
+
+from typing import NamedTuple
 
 import numpy as np
+import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from anystyle.io.splats import Splats
 
-def smallest_three(wxyz: Float[np.ndarray, "N 4"]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Of each unit quaternion the index of its largest component, and the other three in order, in ±1/√2.
+
+class Columns(NamedTuple):
+    """The arrays of one scene, as :class:`anystyle.types.Gaussians` has its tensors, with unit quaternions."""
+
+    means: Float[np.ndarray, "N 3"]
+    rotations: Float[np.ndarray, "N 4"]
+    scales: Float[np.ndarray, "N 3"]
+    opacities: Float[np.ndarray, " N"]
+    harmonics: Float[np.ndarray, "N K 3"]
+
+
+def columns_of(splats: Splats, dtype: torch.dtype = torch.float64) -> Columns:
+    """The arrays of one scene in a precision."""
+    means, rotations, *rest = (tensor.detach().to("cpu", dtype) for tensor in splats)
+    return Columns(*(tensor.numpy() for tensor in (means, F.normalize(rotations, dim=-1), *rest)))
+
+
+def in_bytes(values: Float[np.ndarray, "*shape"]) -> NDArray[np.uint8]:
+    """The nearest integers from 0 to 255."""
+    return np.round(values).clip(0, 255).astype(np.uint8)
+
+
+def in_words(
+    means: Float[np.ndarray, "N 3"],
+) -> tuple[NDArray[np.uint16], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Positions on a logarithmic scale as 16-bit integers, and what 0 and 65535 stand for."""
+    far = np.sign(means) * np.log1p(np.abs(means))
+    low, high = far.min(0), far.max(0)
+    return np.round((far - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2"), low, high
+
+
+def smallest_three(quaternions: Float[np.ndarray, "N 4"]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The index of the largest component of each unit quaternion, and the other three in order, in ±1/√2.
 
     The quaternion's sign is the one that makes the largest component positive.
     """
-    largest = np.abs(wxyz).argmax(1)
-    signs = np.where(np.take_along_axis(wxyz, largest[:, None], 1) < 0, -1.0, 1.0)
-    kept = np.arange(4) != largest[:, None]
-    return largest, (wxyz * signs)[kept].reshape(-1, 3)
+    largest = np.abs(quaternions).argmax(1)
+    signs = np.where(np.take_along_axis(quaternions, largest[:, None], 1) < 0, -1.0, 1.0)
+    return largest, (quaternions * signs)[np.arange(4) != largest[:, None]].reshape(-1, 3)
+
+
+def joined_bits(largest: NDArray[np.int64], others: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """An index of 2 bits and three numbers of 10 in 32 bits, from the highest bit on."""
+    return (largest.astype(np.uint32) << 30 | others[:, 0] << 20 | others[:, 1] << 10 | others[:, 2]).astype("<u4")
 
 
 def morton_order(points: Float[np.ndarray, "N 3"]) -> NDArray[np.int64]:

@@ -111,7 +111,7 @@ def _tool(works: Sequence[_Work]) -> str:
 
 
 def _rights(notes: Iterable[str], works: Iterable[_Work]) -> list[str]:
-    """Licences of what was given, and the notes that are lines, licences of networks among them."""
+    """Licences of what was given, and the notes that are lines, such as licences of networks."""
     given = [f"{work.title or work.name}: {work.license}" for work in works if work.kind != "network" and work.license]
     return [*given, *lines_of(notes)]
 

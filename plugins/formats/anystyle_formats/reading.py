@@ -1,4 +1,4 @@
-"""What readers share: a file that is damaged, or none of the format, ends in one line."""
+"""What readers share: a file that is damaged, or not of the format, ends in one line."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -16,7 +16,7 @@ from anystyle.geometry.transforms import Similarity
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
 from anystyle.io.splats import Offset, Remarks, Splats, offset_of, visible
-from anystyle.types import Gaussians
+from anystyle.types import Cameras, Gaussians, StyledScene
 
 BYTES = 480
 """Memory that a Gaussian of degree 3 takes while it is decoded: two copies of its 59 numbers."""
@@ -29,16 +29,27 @@ def reading(path: Path, what: str) -> Iterator[Remarks]:
     require(4 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
     remarks = Remarks(path)
     try:
-        with np.errstate(all="ignore"):  # numbers that are infinite or none are looked for
+        with np.errstate(all="ignore"):  # infinite numbers and NaN are looked for
             yield remarks
     except (UserError, ImportError, MemoryError):
         raise
     except Exception as error:  # parsers of damaged files raise nearly anything
         reason = type(error).__name__
         with suppress(UnicodeError):  # libraries in C++ quote bytes of the file
-            reason = one_line(error)[:200] or reason
-        raise UserError(f"{path} is no {what} that can be read ({reason})") from None
+            reason = f"it lacks {error}" if isinstance(error, KeyError) else one_line(error)[:200] or reason
+        raise UserError(f"{path} is not a readable {what} ({reason})") from None
     remarks.tell()
+
+
+def cameras_of_one_size(
+    views: Sequence[tuple[tuple[int, int], str, NDArray[np.float64], NDArray[np.float64]]],
+) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of sizes, names, poses and intrinsics, those of the first one's size, and their names."""
+    if not views:
+        return StyledScene(()).cameras, ()
+    _, names, *columns = zip(*(view for view in views if view[0] == views[0][0]), strict=True)
+    poses, intrinsics = (torch.from_numpy(np.array(rows)).float()[None] for rows in columns)
+    return Cameras(poses, intrinsics, views[0][0]), names
 
 
 def room_for(path: Path, count: int) -> int:
@@ -67,12 +78,13 @@ Placed = tuple[Gaussians, NDArray[np.float64]]
 """Gaussians, and the transformation from their coordinates to the world's."""
 
 
-def joined(parts: Sequence[Gaussians]) -> Gaussians:
-    """Several scenes as one; colours of lower degrees get coefficients of 0."""
-    most = max(part.harmonics.shape[2] for part in parts)
-    colors = [F.pad(part.harmonics, (0, 0, 0, most - part.harmonics.shape[2])) for part in parts]
-    padded = [replace(part, harmonics=color) for part, color in zip(parts, colors, strict=True)]
-    return Gaussians(**{name: torch.cat([vars(part)[name] for part in padded], 1) for name in vars(parts[0])})
+def joined(parts: Sequence[Placed], offset: Offset) -> Gaussians:
+    """Parts where they are placed, without an offset, as one; colours of lower degrees get coefficients of 0."""
+    scenes = [_moved(part, world, offset) for part, world in parts]
+    most = max(part.harmonics.shape[2] for part in scenes)
+    colors = [F.pad(part.harmonics, (0, 0, 0, most - part.harmonics.shape[2])) for part in scenes]
+    padded = [replace(part, harmonics=color) for part, color in zip(scenes, colors, strict=True)]
+    return Gaussians(**{name: torch.cat([vars(part)[name] for part in padded], 1) for name in vars(padded[0])})
 
 
 def offset_of_parts(found: Sequence[Placed], remarks: Remarks) -> Offset:
@@ -82,7 +94,7 @@ def offset_of_parts(found: Sequence[Placed], remarks: Remarks) -> Offset:
     return offset_of(np.array([world[:3, 3] for _, world in found]), remarks)
 
 
-def moved(part: Gaussians, world: NDArray[np.float64], offset: Offset) -> Gaussians:
+def _moved(part: Gaussians, world: NDArray[np.float64], offset: Offset) -> Gaussians:
     """Gaussians under a transformation that turns, moves and scales evenly, without an offset."""
     world = world.copy()
     world[:3, 3] -= offset

@@ -7,12 +7,12 @@ The format is described in PlayCanvas's user manual (developer.playcanvas.com, "
 import io
 import json
 import zipfile
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from math import ceil, isqrt, sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import KDTree
@@ -26,14 +26,12 @@ from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import near
 from anystyle.pipeline.provenance import tables
 from anystyle.types import StyledScene
-from anystyle_formats.packing import morton_order, smallest_three
+from anystyle_formats.packing import columns_of, in_bytes, in_words, morton_order, smallest_three
 from anystyle_formats.provenance import joined_notes, lines_of
 from anystyle_formats.reading import gaussians, reading, room_for
 
 PALETTE = 65_536
 """The format's limit on distinct sets of higher harmonics."""
-_LEVELS = 256
-_SCALE_FLOOR = 1e-12
 
 
 class Sog(Format):
@@ -42,23 +40,19 @@ class Sog(Format):
     has_notes = reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        splats = scene.splats()
-        order = morton_order(splats.means.detach().double().cpu().numpy())
-        means, _, scales, opacities, harmonics = (tensor.detach().double().cpu().numpy()[order] for tensor in splats)
-        far = np.sign(means) * np.log1p(np.abs(means))
-        low, high = far.min(0), far.max(0)
-        positions = np.round((far - low) / np.maximum(high - low, 1e-12) * 65535).astype(np.uint16)
-        largest, others = smallest_three(F.normalize(splats.rotations.detach().double().cpu(), dim=-1).numpy()[order])
-        scale_book, scale_index = codebook(np.log(np.maximum(scales, _SCALE_FLOOR)))
+        columns = columns_of(scene.splats())
+        order = morton_order(columns.means)
+        means, rotations, scales, opacities, harmonics = (column[order] for column in columns)
+        positions, low, high = in_words(means)
+        largest, others = smallest_three(rotations)
+        scale_book, scale_index = codebook(np.log(np.maximum(scales, 1e-12)))
         color_book, color_index = codebook(harmonics[:, 0])
-        alpha = np.round(opacities * 255).clip(0, 255)[:, None]
-        quaternions = np.concatenate([np.round((others / sqrt(2) + 0.5) * 255), 252 + largest[:, None]], 1)
         pictures = {
             "means_l.webp": positions & 255,
             "means_u.webp": positions >> 8,
-            "quats.webp": quaternions,
+            "quats.webp": np.concatenate([np.round((others / sqrt(2) + 0.5) * 255), 252 + largest[:, None]], 1),
             "scales.webp": scale_index,
-            "sh0.webp": np.concatenate([color_index, alpha], 1),
+            "sh0.webp": np.concatenate([color_index, in_bytes(opacities * 255)[:, None]], 1),
         }
         meta = {
             "version": 2,
@@ -92,70 +86,53 @@ class Sog(Format):
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SOG file") as remarks, zipfile.ZipFile(path) as archive:
-            meta = parse_json(_member(archive, "meta.json"), _Meta, source=str(path), what="SOG file")
-            count = room_for(path, meta.count or meta.means.shape[0])
+            meta = parse_json(_member(archive, "meta.json"), dict[str, Any], source=str(path), what="SOG file")
+            # Version 1 has the count in the shape of the means, and no codebooks.
+            count = room_for(path, meta["count"] if "count" in meta else meta["means"]["shape"][0])
 
-            def bytes_of(name: str, rows: int | None = count) -> NDArray[np.uint8]:
-                """Pixels in RGBA, row by row: rows 4."""
+            def pixels_of(part: str, file: int = 0, rows: int | None = count) -> NDArray[np.int64]:
+                """Pixels in RGBA, in a grid where the number of rows is not given: rows 4."""
+                name = meta[part]["files"][file]
                 with opened(_member(archive, name), f"{path}: {name}") as image:
                     require_pixels(image, 1 << 16)
-                    pixels = np.asarray(image.convert("RGBA")).reshape(-1, 4)
-                if len(pixels) < (rows or 0):
+                    pixels = np.asarray(image.convert("RGBA")).astype(np.int64)
+                if rows is None:
+                    return pixels
+                pixels = pixels.reshape(-1, 4)
+                if len(pixels) < rows:
                     raise ValueError(f"{name} has {len(pixels):,} pixels for {rows:,} Gaussians")
                 return pixels[:rows]
 
-            low, high = (bytes_of(name)[:, :3].astype(np.int64) for name in meta.means.files)
-            far = meta.means.between((low | high << 8) / 65535)
-            turns = bytes_of(meta.quats.files[0])
-            wxyz = from_smallest_three(turns[:, 3].astype(np.int64) - 252, (turns[:, :3] / 255 - 0.5) * sqrt(2))
-            color = bytes_of(meta.sh0.files[0])
+            low, high = (pixels_of("means", file)[:, :3] for file in (0, 1))
+            far = _between(meta["means"], (low | high << 8) / 65535)
+            turns, color = pixels_of("quats"), pixels_of("sh0")
+            wxyz = from_smallest_three(turns[:, 3] - 252, (turns[:, :3] / 255 - 0.5) * sqrt(2))
             alpha = color[:, 3] / 255
-            if not meta.sh0.codebook:
-                alpha = 1 / (1 + np.exp(-meta.sh0.between(color / 255)[:, 3]))
-            harmonics = meta.sh0.decoded(color)[:, None, :3]
-            if meta.shN is not None:
-                label, book = bytes_of(meta.shN.files[1]).astype(np.int64), bytes_of(meta.shN.files[0], None)
-                with opened(_member(archive, meta.shN.files[0]), str(path)) as image:
-                    columns = image.width // 64  # coefficients, side by side, of 64 centroids a row of pixels
-                centroids = meta.shN.decoded(book[:, :3]).reshape(-1, columns, 3)
+            if not meta["sh0"].get("codebook"):
+                alpha = 1 / (1 + np.exp(-_between(meta["sh0"], color / 255)[:, 3]))
+            harmonics = _decoded(meta["sh0"], color)[:, None, :3]
+            if meta.get("shN") is not None:
+                label, book = pixels_of("shN", 1), pixels_of("shN", rows=None)
+                # A row of pixels has 64 centroids, their coefficients side by side.
+                centroids = _decoded(meta["shN"], book[..., :3]).reshape(-1, book.shape[1] // 64, 3)
                 harmonics = np.concatenate([harmonics, centroids[label[:, 0] | label[:, 1] << 8]], 1)
-            scales = np.exp(meta.scales.decoded(bytes_of(meta.scales.files[0])[:, :3]))
+            scales = np.exp(_decoded(meta["scales"], pixels_of("scales")[:, :3]))
             means, offset = near(np.sign(far) * np.expm1(np.abs(far)), remarks)
             scene = gaussians(remarks, means, wxyz, scales, alpha, harmonics)
-        notes = joined_notes(str(meta.asset.get("copyright", "")).splitlines(), meta.asset.get("provenance"))
+            asset = meta.get("asset", {})
+            notes = joined_notes(str(asset.get("copyright", "")).splitlines(), asset.get("provenance"))
         return StyledScene(((path.stem, scene),), notes=notes, offset=offset)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """An attribute in ``meta.json``: files, and a codebook of 256 values, or bounds of evenly spaced ones."""
-
-    files: list[str]
-    mins: list[float] | float = 0.0
-    maxs: list[float] | float = 1.0
-    codebook: list[float] = field(default_factory=list)
-    shape: list[int] = field(default_factory=lambda: [0])
-
-    def between(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Fractions of the range of each channel."""
-        low, high = np.array(self.mins), np.array(self.maxs)
-        return low + (high - low) * values
-
-    def decoded(self, index: NDArray[np.uint8]) -> NDArray[np.float64]:
-        return np.array(self.codebook)[index] if self.codebook else self.between(index / 255)
+def _between(part: Mapping[str, Any], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fractions of the range of each channel of an attribute."""
+    low, high = np.array(part.get("mins", 0.0)), np.array(part.get("maxs", 1.0))
+    return low + (high - low) * values
 
 
-@dataclass(frozen=True)
-class _Meta:
-    """``meta.json``; version 1 has the count in the shape of the means, and no codebooks."""
-
-    means: _Part
-    scales: _Part
-    quats: _Part
-    sh0: _Part
-    shN: _Part | None = None
-    count: int = 0
-    asset: dict[str, object] = field(default_factory=dict)
+def _decoded(part: Mapping[str, Any], index: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Levels of an attribute: of its codebook, or evenly spaced between its bounds."""
+    return np.array(part["codebook"])[index] if part.get("codebook") else _between(part, index / 255)
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
@@ -169,15 +146,13 @@ def codebook(values: NDArray[np.float64], rounds: int = 32) -> tuple[NDArray[np.
     Half of the levels start at quantiles, which cover the bulk, half evenly spaced, which covers outliers.
     """
     flat = np.sort(values.ravel())
-    half = _LEVELS // 2
-    steps = np.linspace(flat[0], flat[-1], half)
-    levels = np.sort(np.concatenate([np.quantile(flat, (np.arange(half) + 0.5) / half), steps]))
+    quantiles = np.quantile(flat, (np.arange(128) + 0.5) / 128)
+    levels = np.sort(np.concatenate([quantiles, np.linspace(flat[0], flat[-1], 128)]))
     sums = np.concatenate([[0.0], np.cumsum(flat)])
     for _ in range(rounds):
-        edges = np.searchsorted(flat, (levels[1:] + levels[:-1]) / 2)
-        bounds = np.concatenate([[0], edges, [len(flat)]])
+        bounds = np.concatenate([[0], np.searchsorted(flat, (levels[1:] + levels[:-1]) / 2), [len(flat)]])
         counts = np.diff(bounds)
-        means = (sums[bounds[1:]] - sums[bounds[:-1]]) / np.maximum(counts, 1)
+        means = np.diff(sums[bounds]) / np.maximum(counts, 1)
         levels = np.sort(np.where(counts > 0, means, levels))
     index = np.searchsorted((levels[1:] + levels[:-1]) / 2, values)
     return levels, index.astype(np.uint8)
@@ -202,10 +177,8 @@ def palette(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 def _webp(values: NDArray[np.generic], width: int) -> bytes:
     """Rows of three or four bytes as the pixels of a lossless WebP image, padded with zeros."""
-    height = max(1, -(-len(values) // width))
-    pixels = np.zeros((height * width, values.shape[1]), np.uint8)
-    pixels[: len(values)] = values
+    pixels = np.pad(values.astype(np.uint8), ((0, -len(values) % width), (0, 0))).reshape(-1, width, values.shape[1])
     stream = io.BytesIO()
     # `exact` keeps colours under transparent pixels.
-    Image.fromarray(pixels.reshape(height, width, -1)).save(stream, "WEBP", lossless=True, exact=True, method=4)
+    Image.fromarray(pixels).save(stream, "WEBP", lossless=True, exact=True, method=4)
     return stream.getvalue()

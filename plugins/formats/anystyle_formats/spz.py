@@ -10,7 +10,6 @@ from math import floor, isqrt, log2, sqrt
 from pathlib import Path
 
 import numpy as np
-import torch.nn.functional as F
 from numpy.typing import NDArray
 
 from anystyle.contracts import Format
@@ -19,7 +18,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import Remarks
 from anystyle.types import Gaussians, StyledScene
-from anystyle_formats.packing import smallest_three
+from anystyle_formats.packing import columns_of, in_bytes, joined_bits, smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
 
 MAGIC, VERSION = 0x5053474E, 3
@@ -27,9 +26,10 @@ MAX_FRACTION_BITS = 18
 """Fractional bits of a fixed-point coordinate; large scenes get fewer."""
 _COLOR_SCALE = 0.15
 _AXES, _UP = 0xADBE0003, {4: "y", 6: "opencv", 12: "z"}
-"""Of the extension ``SPZ_ADOBE_coordinate_system``: its type, and the numbers of axes that there are here."""
+"""The type of the extension ``SPZ_ADOBE_coordinate_system``, and the numbers of the axes that exist here."""
 _HALVES, _FIRST_THREE, _ZSTD = 1, 2, 4
-"""Versions: the only one of half-precision positions, the last of three bytes a rotation, the first of Zstandard."""
+"""Versions: the only one with half-precision positions, the last with rotations of three bytes, the first of Zstandard.
+"""
 
 
 class Spz(Format):
@@ -39,20 +39,20 @@ class Spz(Format):
     reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        means, rotations, scales, opacities, harmonics = (tensor.detach().double().cpu() for tensor in scene.splats())
+        means, rotations, scales, opacities, harmonics = columns_of(scene.splats())
         degree = min(isqrt(harmonics.shape[1]) - 1, MAX_DEGREE)
-        largest = float(means.abs().max())
+        largest = float(np.abs(means).max())
         bits = min(MAX_FRACTION_BITS, floor(23 - log2(max(largest * (1 + 1e-6), 1e-9))))
         if bits < 0:
             raise UserError(f"coordinates up to {largest:g} exceed those of SPZ, 2^23; scale the scene down")
-        fixed = np.round(means.numpy() * 2**bits).clip(-(2**23), 2**23 - 1).astype("<i4")
+        fixed = np.round(means * 2**bits).clip(-(2**23), 2**23 - 1).astype("<i4")
         columns = [
             fixed.reshape(-1, 1).view(np.uint8).reshape(-1, 4)[:, :3],
-            _bytes(opacities.numpy() * 255),
-            _bytes((harmonics[:, 0].numpy() * _COLOR_SCALE + 0.5) * 255),
-            _bytes((scales.clamp_min(1e-12).log().numpy() + 10) * 16),
-            _packed_rotations(F.normalize(rotations, dim=-1)[:, [1, 2, 3, 0]].numpy()),
-            _bytes(harmonics[:, 1 : (degree + 1) ** 2].numpy() * 128 + 128),
+            in_bytes(opacities * 255),
+            in_bytes((harmonics[:, 0] * _COLOR_SCALE + 0.5) * 255),
+            in_bytes((np.log(np.maximum(scales, 1e-12)) + 10) * 16),
+            _packed_rotations(rotations[:, [1, 2, 3, 0]]),
+            in_bytes(harmonics[:, 1 : (degree + 1) ** 2] * 128 + 128),
         ]
         header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(means), degree, bits, 0, 0)
         with atomic_path(path) as temporary:
@@ -61,11 +61,11 @@ class Spz(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SPZ file") as remarks:
             data = path.read_bytes()
-            scene, up = decoded(data, remarks), _said(data) or self.up
+            scene, up = decoded(data, remarks), _stated_up(data) or self.up
         return StyledScene(((path.stem, scene),), up=up)
 
 
-def _said(data: bytes) -> str | None:
+def _stated_up(data: bytes) -> str | None:
     """The axes that the record of an extension between the header of version 4 and the table names."""
     at, end = (32, struct.unpack_from("<I", data, 16)[0]) if _is_zstd(data) and data[14] & 2 else (0, 0)
     while at + 12 <= end:
@@ -94,14 +94,11 @@ def decoded(data: bytes, remarks: Remarks) -> Gaussians:
         )
     count, higher = room_for(remarks.path, count), (degree + 1) ** 2 - 1
     widths = [6 if version == _HALVES else 9, 1, 3, 3, 3 if version <= _FIRST_THREE else 4, 3 * higher]
-    parts = (
-        _zstd(data, streams, count * sum(widths))
-        if packed
-        else [stream.decompress(stream.unconsumed_tail, count * sum(widths))]
-    )
-    whole = np.frombuffer(b"".join(parts), np.uint8)
-    if len(whole) != count * sum(widths):
-        raise ValueError(f"{len(whole):,} bytes of {count:,} Gaussians, which take {count * sum(widths):,}")
+    size = count * sum(widths)
+    content = _zstd(data, streams, size) if packed else stream.decompress(stream.unconsumed_tail, size)
+    whole = np.frombuffer(content, np.uint8)
+    if len(whole) != size:
+        raise ValueError(f"{len(whole):,} bytes of {count:,} Gaussians, which take {size:,}")
     ends = np.cumsum([count * width for width in widths])[:-1]
     position, alpha, color, scale, turn, rest = (
         part.reshape(count, width) for part, width in zip(np.split(whole, ends), widths, strict=True)
@@ -118,8 +115,8 @@ def decoded(data: bytes, remarks: Remarks) -> Gaussians:
     )
 
 
-def _zstd(data: bytes, streams: int, expected: int) -> list[bytes]:
-    """The streams of version 4, one an attribute, behind a table of their sizes."""
+def _zstd(data: bytes, streams: int, expected: int) -> bytes:
+    """The streams of version 4, one per attribute, behind a table of their sizes."""
     try:
         import zstandard
     except ModuleNotFoundError:
@@ -132,7 +129,7 @@ def _zstd(data: bytes, streams: int, expected: int) -> list[bytes]:
     for packed, size in zip(sizes[::2], sizes[1::2], strict=True):
         parts.append(zstandard.ZstdDecompressor().stream_reader(data[at : at + packed]).read(size))
         at += packed
-    return parts
+    return b"".join(parts)
 
 
 def _fixed(position: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -152,14 +149,8 @@ def _smallest_three(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
     return from_smallest_three((packed >> 30).astype(np.int64), others)
 
 
-def _bytes(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return np.round(values).clip(0, 255).astype(np.uint8)
-
-
 def _packed_rotations(xyzw: NDArray[np.float64]) -> NDArray[np.uint32]:
     """Smallest-three: 2 bits for the index of the largest component, a sign and 9 bits of magnitude for each other."""
     largest, others = smallest_three(xyzw)
     magnitude = np.round(np.abs(others) * sqrt(2) * 511).clip(0, 511).astype(np.uint32)
-    fields = (others < 0).astype(np.uint32) << 9 | magnitude
-    packed = largest.astype(np.uint32) << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
-    return packed.astype("<u4")
+    return joined_bits(largest, (others < 0).astype(np.uint32) << 9 | magnitude)

@@ -9,7 +9,7 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from importlib import import_module
 from importlib.util import find_spec
 from math import isqrt
@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 
 from anystyle.contracts import Format
@@ -26,13 +25,13 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.splats import Offset, Remarks, Splats
 from anystyle.pipeline.provenance import tables
 from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle_formats.packing import columns_of
 from anystyle_formats.provenance import joined_notes, lines_of, readable
-from anystyle_formats.reading import Placed, gaussians, joined, moved, offset_of_parts, reading, room_for
+from anystyle_formats.reading import Placed, cameras_of_one_size, gaussians, joined, offset_of_parts, reading, room_for
 
 SET = "style"
 _FOCAL = 24.0
 """Focal length of cameras; only its ratio to the apertures says something."""
-_CLIPPING = (0.01, 1e6)
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """Between OpenCV's axes of a camera and OpenGL's, which are USD's."""
 _HARMONICS = "radiance:sphericalHarmonicsCoefficients"
@@ -78,23 +77,23 @@ class Usd(Format):
             titles = dict(zip(data.get("variants", ()), data.get("styles", ()), strict=True))
             styles: list[tuple[str, list[Placed]]] = []
             root = stage.GetDefaultPrim()
-            variants = root.GetVariantSet(SET).GetVariantNames() if root else []
-            if variants:
-                chosen = root.GetVariantSet(SET).GetVariantSelection()
+            variants = root.GetVariantSet(SET) if root else None
+            names = sorted(variants.GetVariantNames()) if variants else []
+            if variants and names:
+                # The order of styles where it is known; the chosen one is last.
+                order, chosen = [*titles, *names], variants.GetVariantSelection()
                 stage.SetEditTarget(stage.GetSessionLayer())
-                known = [name for name in titles if name in variants and name != chosen]
-                rest = sorted(set(variants) - {*known, chosen})
-                for name in [*known, *rest, *([chosen] if chosen in variants else [])]:
-                    root.GetVariantSet(SET).SetVariantSelection(name)
+                for name in sorted(names, key=lambda name: (name == chosen, order.index(name))):
+                    variants.SetVariantSelection(name)
                     styles.append((str(titles.get(name, name)), _found(stage, remarks)))
             else:
                 styles.append((path.stem, _found(stage, remarks)))
             offset = offset_of_parts(styles[-1][1], remarks)
-            named = tuple((title, joined([moved(*part, offset) for part in parts])) for title, parts in styles)
-            cameras, names = _read_cameras(stage, offset)
+            named = tuple((title, joined(parts, offset)) for title, parts in styles)
+            cameras, views = _read_cameras(stage, offset)
             up = "z" if pxr.UsdGeom.GetStageUpAxis(stage) == pxr.UsdGeom.Tokens.z else "y"
             notes = joined_notes(list(data.get("notes", ())), json.loads(data.get("provenance", "[]")))
-        return StyledScene(named, cameras, names, notes, up=up, offset=offset)
+        return StyledScene(named, cameras, views, notes, up=up, offset=offset)
 
 
 def _opened(path: Path) -> Any:
@@ -143,8 +142,12 @@ def _stage(scene: StyledScene) -> Any:
             _author(field, {key: values for key, values in style.items() if key not in shared})
     if scene.names:
         pxr.UsdGeom.Scope.Define(stage, "/Scene/Cameras")
-    for camera, (name, pose, matrix) in zip(_identifiers(scene.names), _views(scene), strict=True):
-        height, width = scene.cameras.size
+    height, width = scene.cameras.size
+    poses, matrices = (
+        tensor[0].double().cpu().numpy() for tensor in (scene.cameras.world_from_camera, scene.cameras.intrinsics)
+    )
+    views = zip(_identifiers(scene.names), scene.names, poses, matrices, strict=True)
+    for camera, name, pose, matrix in views:
         prim = pxr.UsdGeom.Camera.Define(stage, f"/Scene/Cameras/{camera}")
         prim.GetPrim().SetDisplayName(name)
         prim.GetPrim().SetCustomData({"height": height, "width": width})
@@ -155,7 +158,7 @@ def _stage(scene: StyledScene) -> Any:
         prim.CreateVerticalApertureAttr(apertures[1])
         prim.CreateHorizontalApertureOffsetAttr(apertures[0] * (0.5 - matrix[0, 2] / width))
         prim.CreateVerticalApertureOffsetAttr(apertures[1] * (matrix[1, 2] / height - 0.5))
-        prim.CreateClippingRangeAttr(pxr.Gf.Vec2f(*_CLIPPING))
+        prim.CreateClippingRangeAttr(pxr.Gf.Vec2f(0.01, 1e6))
     stage.GetRootLayer().documentation = "\n".join(readable(scene.notes))
     stage.GetRootLayer().customLayerData = {
         "generator": "anystyle",
@@ -167,23 +170,17 @@ def _stage(scene: StyledScene) -> Any:
     return stage
 
 
-def _views(scene: StyledScene) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    poses, intrinsics = scene.cameras.world_from_camera[0], scene.cameras.intrinsics[0]
-    for name, pose, matrix in zip(scene.names, poses, intrinsics, strict=True):
-        yield name, pose.double().cpu().numpy(), matrix.double().cpu().numpy()
-
-
 def _attributes(splats: Splats) -> dict[str, NDArray[np.float32]]:
     """The attributes of the schema that are arrays: float32, rows of Gaussians or of their coefficients."""
-    means, rotations, scales, opacities, harmonics = (tensor.detach().float().cpu() for tensor in splats)
+    means, rotations, scales, opacities, harmonics = columns_of(splats, torch.float32)
     columns = {
         "positions": means,
-        "orientations": F.normalize(rotations, dim=-1)[:, [1, 2, 3, 0]],  # as quaternions lie in memory
+        "orientations": rotations[:, [1, 2, 3, 0]],  # as quaternions lie in memory
         "scales": scales,
-        "opacities": opacities.clamp(0, 1),
-        _HARMONICS: harmonics.flatten(0, 1),
+        "opacities": opacities.clip(0, 1),
+        _HARMONICS: harmonics.reshape(-1, 3),
     }
-    return {name: np.ascontiguousarray(tensor.numpy()) for name, tensor in columns.items()}
+    return {name: np.ascontiguousarray(values) for name, values in columns.items()}
 
 
 def _author(field: Any, columns: dict[str, NDArray[np.float32]]) -> None:
@@ -222,64 +219,44 @@ def _found(stage: Any, remarks: Remarks) -> list[Placed]:
 
 
 def _splats(prim: Any, remarks: Remarks) -> Gaussians:
-    positions = _array(prim, "positions")
-    count = room_for(remarks.path, 0 if positions is None else len(positions))
-    orientations, scales, opacities, coefficients = (
-        _array(prim, name) for name in ("orientations", "scales", "opacities", _HARMONICS)
-    )
-    degree = int(prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get())
-    rows = (degree + 1) ** 2
+    positions = _array(prim, "positions", np.zeros((0, 3)))
+    count = room_for(remarks.path, len(positions))
+    rows = (int(prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get()) + 1) ** 2
     # What is absent is what the schema says: no rotation, a size of 1, opaque, middle grey.
+    coefficients = _array(prim, _HARMONICS, np.zeros((count * rows, 3)))
     return gaussians(
         remarks,
-        np.asarray(positions),
-        np.tile([1.0, 0, 0, 0], (count, 1)) if orientations is None else orientations[:, [3, 0, 1, 2]],
-        np.ones((count, 3)) if scales is None else scales,
-        np.ones(count) if opacities is None else opacities,
-        np.zeros((count, 1, 3)) if coefficients is None else coefficients[: count * rows].reshape(count, rows, 3),
+        positions,
+        _array(prim, "orientations", np.tile([0.0, 0, 0, 1], (count, 1)))[:, [3, 0, 1, 2]],
+        _array(prim, "scales", np.ones((count, 3))),
+        _array(prim, "opacities", np.ones(count)),
+        coefficients[: count * rows].reshape(count, rows, 3),
     )
 
 
-def _array(prim: Any, name: str) -> NDArray[Any] | None:
+def _array(prim: Any, name: str, absent: NDArray[Any]) -> NDArray[Any]:
     """The values of an attribute at the earliest time, in float or else in half precision."""
     for each in (name, f"{name}h"):
         values = prim.GetAttribute(each).Get(pxr.Usd.TimeCode.EarliestTime())
         if values is not None and len(values):
             return np.array(values)
-    return None
+    return absent
 
 
 def _read_cameras(stage: Any, offset: Offset) -> tuple[Cameras, tuple[str, ...]]:
     """The cameras of a stage without an offset, of one size; of stages of other programs only its aspect is known."""
-    names: list[str] = []
-    poses: list[NDArray[np.float64]] = []
-    matrices: list[list[list[float]]] = []
-    sizes: list[tuple[int, int]] = []
+    found: list[tuple[tuple[int, int], str, NDArray[np.float64], NDArray[np.float64]]] = []
     transforms = pxr.UsdGeom.XformCache()
-    for prim in stage.Traverse():
-        camera = pxr.UsdGeom.Camera(prim)
-        if camera:
-            view = camera.GetCamera()
-            across, down, focal = view.horizontalAperture, view.verticalAperture, view.focalLength
-            data = prim.GetCustomData()
-            width = int(data.get("width", 1024))
-            height = int(data.get("height", round(width * down / across)))
-            world = np.array(transforms.GetLocalToWorldTransform(prim)).T
-            world[:3, 3] -= offset
-            world[:3, :3] /= np.linalg.norm(world[:3, :3], axis=0)
-            center = (
-                width * (0.5 - view.horizontalApertureOffset / across),
-                height * (0.5 + view.verticalApertureOffset / down),
-            )
-            lens = [[focal * width / across, 0, center[0]], [0, focal * height / down, center[1]], [0, 0, 1]]
-            names.append(prim.GetDisplayName() or prim.GetName())
-            poses.append(world @ _FLIP)
-            matrices.append(lens)
-            sizes.append((height, width))
-    alike = [index for index, size in enumerate(sizes) if size == sizes[0]]
-    if not alike:
-        return StyledScene(()).cameras, ()
-    columns = [
-        torch.tensor(np.array([rows[index] for index in alike]), dtype=torch.float32) for rows in (poses, matrices)
-    ]
-    return Cameras(columns[0][None], columns[1][None], sizes[0]), tuple(names[index] for index in alike)
+    for prim in filter(pxr.UsdGeom.Camera, stage.Traverse()):
+        view, data = pxr.UsdGeom.Camera(prim).GetCamera(), prim.GetCustomData()
+        across, down, focal = view.horizontalAperture, view.verticalAperture, view.focalLength
+        width = int(data.get("width", 1024))
+        height = int(data.get("height", round(width * down / across)))
+        world = np.array(transforms.GetLocalToWorldTransform(prim)).T
+        world[:3, 3] -= offset
+        world[:3, :3] /= np.linalg.norm(world[:3, :3], axis=0)
+        matrix = np.diag([focal * width / across, focal * height / down, 1.0])
+        matrix[0, 2] = width * (0.5 - view.horizontalApertureOffset / across)
+        matrix[1, 2] = height * (0.5 + view.verticalApertureOffset / down)
+        found.append(((height, width), prim.GetDisplayName() or prim.GetName(), world @ _FLIP, matrix))
+    return cameras_of_one_size(found)

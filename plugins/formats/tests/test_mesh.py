@@ -2,6 +2,8 @@
 
 import json
 import math
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -64,9 +66,8 @@ def test_a_sphere_comes_back_within_a_voxel():
     distances = np.abs(np.linalg.norm(surface.vertices, axis=1) - RADIUS)
     assert distances.mean() < 0.3 * voxel and np.quantile(distances, 0.99) < voxel
     # It faces outwards, is one piece, and has the colours of the Gaussians.
-    outward = (surface.face_normals * surface.triangles_center).sum(1) / np.linalg.norm(
-        surface.triangles_center, axis=1
-    )
+    away = surface.triangles_center / np.linalg.norm(surface.triangles_center, axis=1, keepdims=True)
+    outward = (surface.face_normals * away).sum(1)
     assert np.quantile(outward, 0.02) > 0.7
     assert surface.area == pytest.approx(4 * math.pi * RADIUS**2, rel=0.15)
     error = np.abs(mesh.colors - (0.5 + 0.4 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)))
@@ -77,29 +78,23 @@ def test_what_cannot_be_meshed_says_so(tmp_path):
     gaussians, path = sphere(500), tmp_path / "mesh.obj"
     with pytest.raises(UserError, match="two cameras or more, and this scene has none"):
         export_styles(StyledScene((("x", gaussians),)), path, "obj")
-    fog = Gaussians(
-        torch.randn(1, 3000, 3, generator=torch.Generator().manual_seed(0)),
-        torch.tensor([[1.0, 0, 0, 0]]).expand(1, 3000, 4),
-        torch.full((1, 3000, 3), 0.2),
-        torch.full((1, 3000), 0.05),
-        torch.zeros(1, 3000, 1, 3),
-    )
+    means = torch.randn(1, 500, 3, generator=torch.Generator().manual_seed(0))
+    fog = replace(gaussians, means=means, scales=torch.full((1, 500, 3), 0.4), opacities=torch.full((1, 500), 0.1))
     with pytest.raises(UserError, match="is at the same depth for others") as raised:
-        export_styles(StyledScene((("x", fog),), around(14, (60, 60)), tuple("abcdefghijklmn")), path, "obj")
+        export_styles(StyledScene((("x", fog),), around(4, (30, 30)), tuple("abcd")), path, "obj")
     assert len(str(raised.value).splitlines()) == 1 and not path.exists()
 
 
-def test_the_command_finds_cameras_beside_a_file_and_writes_what_trimesh_opens(tmp_path, capsys):
+def test_the_command_finds_cameras_beside_a_file_and_writes_what_trimesh_opens(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("anystyle_formats.mesh.obj.fused", partial(fused, resolution=32))
     cameras = around(14, (60, 60))
     build(Format, "ply").write(StyledScene((("ball", sphere(2000)),), notes=("of clay",)), tmp_path / "scene.ply")
     words = [str(tmp_path / "scene.ply"), "--to", "obj", "--out", str(tmp_path / "ball.obj")]
     with pytest.raises(UserError, match=r"put cameras\.json, transforms\.json or a COLMAP model beside the file"):
         export(parser().parse_args(words))
-    rows = enumerate(zip(cameras.intrinsics[0].tolist(), cameras.world_from_camera[0].tolist(), strict=True))
-    views = [
-        {"name": str(index), "height": 60, "width": 60, "intrinsics": matrix, "world_from_camera": pose}
-        for index, (matrix, pose) in rows
-    ]
+    rows = zip("abcdefghijklmn", cameras.intrinsics[0].tolist(), cameras.world_from_camera[0].tolist(), strict=True)
+    names = ("name", "intrinsics", "world_from_camera")
+    views = [{"height": 60, "width": 60, **dict(zip(names, row, strict=True))} for row in rows]
     (tmp_path / "cameras.json").write_text(json.dumps({"convention": "", "views": views}))
     export(parser().parse_args(words))
     assert "ball.obj" in capsys.readouterr().out and not list(tmp_path.glob("*.txt"))

@@ -49,7 +49,7 @@ def write_transforms(folder, seen, **further):
     ]
     lens = seen.intrinsics[0, 0]
     shared = {"w": seen.size[1], "h": seen.size[0], "fl_x": float(lens[0, 0]), "fl_y": float(lens[1, 1])}
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     shared |= {"cx": float(lens[0, 2]), "cy": float(lens[1, 2])}
     (folder / "transforms.json").write_text(json.dumps({**shared, **further, "frames": frames}))
 
@@ -104,11 +104,9 @@ def test_a_trained_run_is_read_where_its_cameras_are(tmp_path, monkeypatch, scen
 
 def test_export_is_a_data_folder_and_a_run(tmp_path, scene, capsys):
     """What is written is read back to the bits that float32 keeps, and images show the scene from their cameras."""
-    ply = tmp_path / "red.ply"
-    export_styles(scene, ply, "ply")
-    write_transforms(tmp_path / "sparse", scene.cameras)
-    (tmp_path / "sparse" / "transforms.json").rename(tmp_path / "transforms.json")
-    Nerfstudio()(["export", str(ply), "--out", str(tmp_path / "ns"), "--side", "24", "renderer=torch"])
+    export_styles(scene, tmp_path / "red.ply", "ply")
+    write_transforms(tmp_path, scene.cameras)
+    Nerfstudio()(["export", str(tmp_path / "red.ply"), "--out", str(tmp_path / "ns"), "--side", "24", "renderer=torch"])
     assert "ns-viewer --load-config" in capsys.readouterr().out
     run = tmp_path / "ns" / "red" / "splatfacto" / "anystyle"
     data = tmp_path / "ns" / "red" / "data"
@@ -170,34 +168,27 @@ class Foreign:
 def test_untrusted_checkpoints_end_in_a_line(tmp_path, scene):
     state = state_of(scene.styles[0][1])
     cases = {
-        "missing": (save(tmp_path / "a.ckpt", {"_model.field.x": torch.zeros(3)}), "no Gaussians of splatfacto"),
-        "code": (save(tmp_path / "b.ckpt", state, extra=Foreign()), "holds code or objects"),
-        "shape": (save(tmp_path / "c.ckpt", state | {"_model.gauss_params.quats": torch.zeros(60, 3)}), "quats"),
+        "no Gaussians of splatfacto": save(tmp_path / "a.ckpt", {"_model.field.x": torch.zeros(3)}),
+        "holds code or objects": save(tmp_path / "b.ckpt", state, extra=Foreign()),
+        "quats of shape": save(tmp_path / "c.ckpt", state | {"_model.gauss_params.quats": torch.zeros(60, 3)}),
+        "no `pipeline`": tmp_path / "d.ckpt",
     }
     torch.save([1], tmp_path / "d.ckpt")
-    cases["other"] = (tmp_path / "d.ckpt", "no `pipeline`")
-    for path, message in cases.values():
+    for message, path in cases.items():
         with pytest.raises(UserError, match=message):
             read_unturned(path, None)
     good = save(tmp_path / "run" / "e.ckpt", state)
     (good.parent / "dataparser_transforms.json").write_text(
         '{"transform": [[2,0,0,0],[0,1,0,0],[0,0,1,0]], "scale": 1}'
     )
-    with pytest.raises(UserError, match="no rotation"):
+    with pytest.raises(UserError, match="not hold a rotation"):
         read_unturned(good, None)
 
 
 def path_file(folder: Path, poses, **changes) -> Path:
     frames = [{"camera_to_world": np.asarray(pose).flatten().tolist(), "fov": 60.0, "aspect": 1.5} for pose in poses]
-    content = {
-        "keyframes": [],
-        "camera_type": "perspective",
-        "render_height": 480,
-        "render_width": 720,
-        "fps": 10,
-        "seconds": len(frames) / 10,
-        "camera_path": frames,
-    }
+    content = {"keyframes": [], "camera_type": "perspective", "fps": 10, "seconds": len(frames) / 10}
+    content |= {"render_height": 480, "render_width": 720, "camera_path": frames}
     file = folder / "path.json"
     file.write_text(json.dumps(content | changes))
     return file
@@ -236,7 +227,7 @@ def test_camera_paths(tmp_path, scene):
     [
         ({"camera_type": "equirectangular"}, "type perspective"),
         ({"camera_path": []}, "no frames"),
-        ({"camera_path": [{"camera_to_world": [2.0] * 16, "fov": 60}]}, "no rotation"),
+        ({"camera_path": [{"camera_to_world": [2.0] * 16, "fov": 60}]}, "not a rotation"),
         ({"camera_path": [{"camera_to_world": [0.0] * 15, "fov": 60}]}, "path of nerfstudio"),
     ],
 )

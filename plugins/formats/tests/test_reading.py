@@ -21,11 +21,13 @@ from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.io import ply
+from anystyle.io.splats import NEAR
 from anystyle.pipeline.export import export, export_styles, in_axes
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats import glb
+from anystyle_formats.reading import joined
 from anystyle_formats.splat import ROW
 from tests.support.export_readers import SPLAT_TRANSFORM, read_with_gaussforge
 from tests.support.export_scene import LEAST, picture, psnr, scene
@@ -72,6 +74,17 @@ def test_files_of_splat_transform_are_read(name, options, tmp_path):
     assert psnr(picture(found), picture(gaussians)) > QUANTISED[name]
 
 
+def unzipped(path):
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def zipped(path, members):
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
 # What other writers of glTF do
 
 
@@ -93,7 +106,7 @@ def test_nodes_move_what_they_hold(tmp_path):
     whole = scene(4)
     halves = [whole.map(lambda tensor: tensor[:, :200]), whole.map(lambda tensor: tensor[:, 200:])]
     halves[1] = Gaussians(*[*list(vars(halves[1]).values())[:4], halves[1].harmonics[:, :, :1]])
-    expected = picture(glb.joined(halves))
+    expected = picture(joined([(half, np.eye(4)) for half in halves], NEAR))
     turned = in_axes("z", StyledScene((("", halves[0]),), up="opencv")).styles[0][1]  # half of a right angle's way
     columns = vars(turned) | {"means": 2 * turned.means + 1, "scales": 2 * turned.scales}
     export(Gaussians(**columns), tmp_path / "first.glb", "glb", up="opencv")
@@ -122,7 +135,7 @@ def test_nodes_move_what_they_hold(tmp_path):
     assert psnr(read(tmp_path / "both.glb"), expected) > 60
     one["nodes"][3]["scale"] = [0.5, 0.5, 1]
     packed_glb(tmp_path / "both.glb", one, binary + more)
-    with pytest.raises(UserError, match=r"both\.glb is no GLB file .* scale unevenly"):
+    with pytest.raises(UserError, match=r"both\.glb is not a readable GLB file .* scale unevenly"):
         read(tmp_path / "both.glb")
     one["nodes"][3] = {"children": [0]}
     packed_glb(tmp_path / "both.glb", one, binary + more)
@@ -144,12 +157,10 @@ def test_normalised_and_interleaved_attributes_are_read(tmp_path):
     document["bufferViews"].append(view)
     index = {"bufferView": len(document["bufferViews"]) - 1, "count": count, "normalized": True}
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
-    for name, more in (
-        ("ROTATION", {"type": "VEC4", "componentType": 5122}),
-        ("OPACITY", {"type": "SCALAR", "componentType": 5121, "byteOffset": 8}),
-    ):
-        document["accessors"].append(index | more)
-        attributes[f"{glb.NAME}:{name}"] = len(document["accessors"]) - 1
+    document["accessors"].append(index | {"type": "VEC4", "componentType": 5122})
+    document["accessors"].append(index | {"type": "SCALAR", "componentType": 5121, "byteOffset": 8})
+    for name, back in (("ROTATION", 2), ("OPACITY", 1)):
+        attributes[f"{glb.NAME}:{name}"] = len(document["accessors"]) - back
     packed_glb(tmp_path / "packed.glb", document, binary + rows.tobytes())
     assert psnr(read(tmp_path / "packed.glb"), picture(gaussians)) > 45
 
@@ -236,8 +247,7 @@ def test_version_1_of_sog_is_read(tmp_path):
     """It has evenly spaced levels, logits of opacity, and no number of Gaussians but a shape."""
     gaussians = scene(4)
     export(gaussians, tmp_path / "new.sog", "sog")
-    with zipfile.ZipFile(tmp_path / "new.sog") as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
+    members = unzipped(tmp_path / "new.sog")
     meta = json.loads(members["meta.json"])
 
     def pixels(name):
@@ -267,10 +277,7 @@ def test_version_1_of_sog_is_read(tmp_path):
         "means": meta["means"] | {"shape": [400, 3]}, "quats": meta["quats"], "scales": old_scales, "sh0": old_color,
         "shN": {"mins": -1.0, "maxs": 1.0, "files": meta["shN"]["files"]},
     }  # fmt: skip
-    members["meta.json"] = json.dumps(meta).encode()
-    with zipfile.ZipFile(tmp_path / "old.sog", "w") as archive:
-        for name, data in members.items():
-            archive.writestr(name, data)
+    zipped(tmp_path / "old.sog", members | {"meta.json": json.dumps(meta).encode()})
     assert psnr(read(tmp_path / "old.sog"), picture(gaussians)) > 34
 
 
@@ -305,17 +312,18 @@ def test_a_ply_header_that_names_the_axis_is_obeyed(said, up, tmp_path):
 # Commands
 
 
-def test_every_format_is_exported_to_every_other(tmp_path, capsys):
+@pytest.mark.parametrize("name", READ)
+def test_every_format_is_exported_to_every_other(name, tmp_path, capsys):
     gaussians = scene(1)
-    for name in READ:
-        export(gaussians, tmp_path / f"scene.{name}", name)
-        for other in (*READ, "html"):
-            out = tmp_path / f"from_{name}.{other}"
-            command.export(command.parser().parse_args([str(tmp_path / f"scene.{name}"), "--out", str(out)]))
-            if other != "html":
-                assert psnr(read(out), picture(gaussians)) > min(LEAST[name], LEAST[other]) - 2
+    export(gaussians, tmp_path / f"scene.{name}", name)
+    for other in (*READ, "html"):
+        out = tmp_path / f"theirs.{other}"
+        command.export(command.parser().parse_args([str(tmp_path / f"scene.{name}"), "--out", str(out)]))
+        assert out.name in capsys.readouterr().out
+        if other != "html":
+            assert psnr(read(out), picture(gaussians)) > min(LEAST[name], LEAST[other]) - 2
     with pytest.raises(UserError, match="written, and not read"):
-        read_saved(tmp_path / "from_ply.html")
+        read_saved(out)
 
 
 def test_stylize_takes_a_file_of_any_format(tmp_path, capsys):
@@ -343,7 +351,7 @@ def test_damaged_files_end_in_one_line(name, tmp_path, caplog):
     export(scene(4, 30), tmp_path / f"scene.{name}", name)
     data, path, draw = (tmp_path / f"scene.{name}").read_bytes(), tmp_path / f"damaged.{name}", random.Random(0)
     refused = 0
-    for number in range(150):
+    for number in range(60):
         changed = bytearray(data[: draw.randrange(len(data))] if number % 3 == 0 else data)
         for _ in range(number % 3 and draw.choice((1, 4, 64))):
             changed[draw.randrange(min(len(changed), draw.choice((64, len(changed)))))] = draw.choice((0, 255, 37))
@@ -357,16 +365,13 @@ def test_damaged_files_end_in_one_line(name, tmp_path, caplog):
         else:
             assert all(bool(tensor.isfinite().all()) for tensor in vars(found.styles[0][1]).values())
             refused += any("left out" in message for message in caplog.messages)  # rows of it, told in a line
-    assert refused >= 50
+    assert refused >= 20
 
 
 @pytest.mark.parametrize(
     ("name", "data"),
     [
-        (
-            "spz",
-            gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 3, 4_000_000_000, 3, 12, 0, 0) + b"\0" * 64, mtime=0),
-        ),
+        ("spz", gzip.compress(struct.pack("<IIIBBBB64x", 0x5053474E, 3, 4_000_000_000, 3, 12, 0, 0), mtime=0)),
         ("spz", struct.pack("<IIIBBBBI12xQQ", 0x5053474E, 4, 9, 0, 12, 0, 1, 32, 99, 1 << 60) + b"\0" * 99),
         ("splat", b"\0" * 31),
         ("splat", b""),
@@ -382,13 +387,10 @@ def test_headers_that_promise_too_much_are_refused(name, data, tmp_path):
 
 def test_a_sog_of_vast_images_is_refused(tmp_path):
     export(scene(1), tmp_path / "scene.sog", "sog")
-    with zipfile.ZipFile(tmp_path / "scene.sog") as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
+    members = unzipped(tmp_path / "scene.sog")
     for count in (10**12, 100_000):
         meta = json.loads(members["meta.json"]) | {"count": count}
-        with zipfile.ZipFile(tmp_path / "vast.sog", "w") as archive:
-            for name, data in (members | {"meta.json": json.dumps(meta).encode()}).items():
-                archive.writestr(name, data)
+        zipped(tmp_path / "vast.sog", members | {"meta.json": json.dumps(meta).encode()})
         with pytest.raises(UserError, match=r"vast\.sog"):
             read_saved(tmp_path / "vast.sog")
 

@@ -41,7 +41,7 @@ def stylize_images(
     Args:
         network: See :func:`anystyle_magenta.pretrained.load_transfer`.
         images: sRGB in [0, 1].
-        style: A vector a row.
+        style: One vector per row.
         working_size: The shorter side in pixels that the network sees. Strokes have a fixed width in
             its pixels, so that a smaller size has broader ones. ``None``: as the images are.
         joint: Whether the views of a row share the statistics of the normalisations, as parts of one picture do.

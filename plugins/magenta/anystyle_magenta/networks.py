@@ -30,11 +30,10 @@ class StylePrediction(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stem = ConvReLU6(3, 32, kernel=3, stride=2)
-        blocks: list[nn.Module] = []
-        channels = 32
+        blocks, channels = [], 32
         for expansion, width, count, first_stride in BLOCKS:
-            for index in range(count):
-                blocks.append(InvertedResidual(channels, width, first_stride if index == 0 else 1, expansion))
+            for stride in (first_stride, *[1] * (count - 1)):
+                blocks.append(InvertedResidual(channels, width, stride, expansion))
                 channels = width
         self.blocks = nn.Sequential(*blocks)
         self.top = ConvReLU6(channels, 1280)
@@ -74,9 +73,8 @@ class InvertedResidual(nn.Module):
         return x + y if self.residual else y
 
 
-WIDTHS = (8, 16, 32)
-"""Channels at full, half and quarter size; a quarter of those of the paper."""
-NUM_RESIDUAL = 5
+WIDTHS, NUM_RESIDUAL = (8, 16, 32), 5
+"""Channels at full, half and quarter size, a quarter of those of the paper, and blocks at quarter size."""
 DIVISOR = 4
 """Sides of the images are multiples of it."""
 EPSILON = 1e-5
@@ -94,21 +92,11 @@ class StyleTransfer(nn.Module):
     def __init__(self, *, channels: int = 3, style_dim: int = STYLE_DIM) -> None:
         super().__init__()
         full, half, quarter = WIDTHS
-        self.contract = nn.ModuleList(
-            [
-                _reflect_conv(channels, full, 9),
-                _reflect_conv(full, half, 3, stride=2),
-                _reflect_conv(half, quarter, 3, stride=2),
-            ]
-        )
+        down = (_reflect_conv(full, half, 3, stride=2), _reflect_conv(half, quarter, 3, stride=2))
+        self.contract = nn.ModuleList([_reflect_conv(channels, full, 9), *down])
         self.residual = nn.ModuleList(Residual(quarter, style_dim) for _ in range(NUM_RESIDUAL))
-        self.expand = nn.ModuleList(
-            [
-                StyledConv(quarter, half, 3, style_dim, upsampling=2),
-                StyledConv(half, full, 3, style_dim, upsampling=2),
-                StyledConv(full, channels, 9, style_dim),
-            ]
-        )
+        up = (StyledConv(wide, narrow, 3, style_dim, upsampling=2) for wide, narrow in ((quarter, half), (half, full)))
+        self.expand = nn.ModuleList([*up, StyledConv(full, channels, 9, style_dim)])
 
     def forward(
         self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"], chunk: int | None = None
@@ -145,18 +133,15 @@ class StyledConv(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, kernel: int, style_dim: int, *, upsampling: int = 1) -> None:
         super().__init__()
-        self.upsampling = upsampling
+        self.upsample = nn.Upsample(scale_factor=upsampling) if upsampling > 1 else nn.Identity()
         self.conv = _reflect_conv(inputs, outputs, kernel, bias=False)
         self.scale = nn.Linear(style_dim, outputs)
         self.shift = nn.Linear(style_dim, outputs)
 
     def forward(self, chunks: Sequence[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
         """Upsample, convolve and normalise maps ``B v C h w`` of some views at a time."""
-        maps = [_view_by_view(self._convolve, x) for x in chunks]
+        maps = [_view_by_view(lambda x: self.conv(self.upsample(x)), x) for x in chunks]
         return conditional_instance_norm(maps, self.scale(style), self.shift(style))
-
-    def _convolve(self, x: Tensor) -> Tensor:
-        return self.conv(x if self.upsampling == 1 else F.interpolate(x, scale_factor=self.upsampling, mode="nearest"))
 
 
 def conditional_instance_norm(
@@ -164,13 +149,10 @@ def conditional_instance_norm(
 ) -> list[Tensor]:
     """Normalise maps ``B v C h w`` by mean and variance over pixels and over the views of all chunks."""
     num_views = sum(x.shape[1] for x in chunks)
-    moments = [torch.var_mean(x.float(), dim=(1, 3, 4), correction=0) for x in chunks]  # B C each
-    mean, variance = torch.zeros_like(moments[0][1]), torch.zeros_like(moments[0][0])
-    fractions = [x.shape[1] / num_views for x in chunks]
-    for fraction, (_, within) in zip(fractions, moments, strict=True):
-        mean = mean + fraction * within
-    for fraction, (spread, within) in zip(fractions, moments, strict=True):
-        variance = variance + fraction * (spread + (within - mean).square())
+    moments = [(x.shape[1] / num_views, *torch.var_mean(x.float(), (1, 3, 4), correction=0)) for x in chunks]
+    mean = torch.stack([fraction * within for fraction, _, within in moments]).sum(0)  # B C
+    variances = [fraction * (spread + (within - mean).square()) for fraction, spread, within in moments]
+    variance = torch.stack(variances).sum(0)
     gain = scale * (variance + EPSILON).rsqrt()
     offset = shift - mean * gain
     gain, offset = (value[:, None, :, None, None].to(chunks[0].dtype) for value in (gain, offset))

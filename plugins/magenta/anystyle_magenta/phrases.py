@@ -18,8 +18,8 @@ from anystyle_magenta.pretrained import GUESSES, SENTENCES
 
 ASSETS = Path(__file__).parent / "assets"
 SHARPNESS, RIDGE, NEARNESS = 6.0, 0.3, 20.0
-"""Of the kernel, of the regression and of neighbours; chosen by cross-validation on
-two thirds of ``meanings.txt`` and by a third of the synonyms among the tests; they matter little."""
+"""Scales of the kernel, the regression and the neighbours, chosen by cross-validation on two thirds of ``meanings.txt``
+and by a third of the synonyms among the tests; they matter little."""
 
 
 class SentenceNetwork:
@@ -39,14 +39,14 @@ class SentenceNetwork:
 
     def __call__(self, texts: Sequence[str]) -> Float[Tensor, "M 384"]:
         """Unit vectors of texts: the mean over their word pieces."""
-        return torch.cat([self._embed(text) for text in texts])
-
-    def _embed(self, text: str) -> Float[Tensor, "1 384"]:
-        pieces = ["[CLS]", *(piece for word in clean(text) for piece in self._pieces(word)), "[SEP]"]
-        rows = np.array([[self.rows[piece] for piece in pieces]])
-        inputs = {"input_ids": rows, "attention_mask": np.ones_like(rows), "token_type_ids": np.zeros_like(rows)}
-        (states,) = self.session.run(None, inputs)
-        return F.normalize(torch.from_numpy(states).mean(1), dim=-1)
+        vectors = []
+        for text in texts:
+            pieces = ["[CLS]", *(piece for word in clean(text) for piece in self._pieces(word)), "[SEP]"]
+            rows = np.array([[self.rows[piece] for piece in pieces]])
+            inputs = {"input_ids": rows, "attention_mask": np.ones_like(rows), "token_type_ids": np.zeros_like(rows)}
+            (states,) = self.session.run(None, inputs)
+            vectors.append(torch.from_numpy(states).mean(1))
+        return F.normalize(torch.cat(vectors), dim=-1)
 
     def _pieces(self, word: str) -> list[str]:
         """The longest known pieces of a word, from its beginning on."""

@@ -19,8 +19,10 @@ from anystyle.vision import weights
 from anystyle.vision.weights import published
 from anystyle_magenta.networks import StyledConv, StylePrediction, StyleTransfer, TextTower
 
+PREDICTION, TRANSFER, TEXT = "magenta_predict", "magenta_transform", "magenta_text"
+"""Rows of ``weights.toml``."""
 SENTENCES, GUESSES = "minilm", "magenta_phrases"
-"""Rows of ``weights.toml`` of the extra ``words``."""
+"""Rows of the extra ``words``."""
 
 
 def words_installed() -> bool:
@@ -53,10 +55,6 @@ def read_convolutions(name: str, content: bytes) -> dict[str, Convolution]:
         )
         for output, (shape, weight, weight_scale, bias, bias_scale) in tables[name].items()
     }
-
-
-PREDICTION, TRANSFER, TEXT = "magenta_predict", "magenta_transform", "magenta_text"
-"""Rows of ``weights.toml``."""
 
 
 def load_prediction(network: StylePrediction, path: str | Path | None = None) -> Source:
@@ -99,25 +97,25 @@ def _read(name: str, path: str | Path | None) -> tuple[dict[str, Convolution], S
     return read_convolutions(name, content), Source(network=name, file=file.name, sha256=digest)
 
 
-def _transfer_layers(network: StyleTransfer) -> Iterator[tuple[nn.Conv2d | nn.Linear, str]]:
+def _transfer_layers(network: StyleTransfer) -> Iterator[tuple[nn.Module, str]]:
     """Each layer with the name of its output in the published graph."""
     for index, conv in enumerate(network.contract, start=1):
-        assert isinstance(conv, nn.Conv2d)
         yield conv, f"transformer/contract/conv{index}/Relu_prequant"
-    styled: list[tuple[nn.Module, str]] = []
+    styled = {f"expand/conv{index}/conv": layer for index, layer in enumerate(network.expand, start=1)}
     for index, block in enumerate(network.residual, start=1):
-        for part, layer in enumerate(block.children(), start=1):
-            styled.append((layer, f"transformer/residual/residual{index}/conv{part}"))
-    styled += [(layer, f"transformer/expand/conv{index}/conv") for index, layer in enumerate(network.expand, start=1)]
-    for layer, name in styled:
+        styled |= {
+            f"residual/residual{index}/conv{part}": layer for part, layer in enumerate(block.children(), start=1)
+        }
+    for name, layer in styled.items():
         assert isinstance(layer, StyledConv)
-        yield layer.conv, f"{name}/Conv2D_prequant"
-        yield layer.shift, f"style_params/{name}/StyleNorm/Conv/BiasAdd_prequant"
-        yield layer.scale, f"style_params/{name}/StyleNorm/Conv_1/BiasAdd_prequant"
+        yield layer.conv, f"transformer/{name}/Conv2D_prequant"
+        yield layer.shift, f"style_params/transformer/{name}/StyleNorm/Conv/BiasAdd_prequant"
+        yield layer.scale, f"style_params/transformer/{name}/StyleNorm/Conv_1/BiasAdd_prequant"
 
 
 @torch.no_grad()
-def _fill(layer: nn.Conv2d | nn.Linear, convolution: Convolution) -> None:
+def _fill(layer: nn.Module, convolution: Convolution) -> None:
+    assert isinstance(layer, nn.Conv2d | nn.Linear)
     # A linear layer is a convolution of 1x1 there.
     layer.weight.copy_(convolution.weight.flatten(1).view(layer.weight.shape))
     if layer.bias is not None:

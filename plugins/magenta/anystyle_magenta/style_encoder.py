@@ -43,44 +43,38 @@ class Descriptions:
     def match(self, text: str) -> TextMatch:
         """The nearest known text, by the cosine of tf-idf vectors, and the words of ``text`` that occur in none."""
         features = _features(text)
-        vectors = self._vectors
-        rarest = math.log(len(vectors))
-        norm = math.sqrt(sum(self._rarity.get(feature, rarest) ** 2 for feature in features))
+        norm = math.hypot(*map(self._rarity, features))
 
-        def cosine(index: int) -> float:
-            vector = vectors[index]
-            shared = sum(vector[feature] * self._rarity[feature] for feature in features & vector.keys())
-            return shared / max(norm, 1e-9)
+        def cosine(known: set[str]) -> float:
+            shared = sum(self._rarity(feature) ** 2 for feature in features & known)
+            return shared / max(norm * math.hypot(*map(self._rarity, known)), 1e-9)
 
-        best = max(range(len(vectors)), key=cosine)
+        similarities = list(map(cosine, self._known))
+        best = similarities.index(max(similarities))
         unknown = tuple(word for word in dict.fromkeys(clean(text)) if word not in self.words)
-        return TextMatch(text, self.texts[best], cosine(best), unknown)
+        return TextMatch(text, self.texts[best], similarities[best], unknown)
 
     def unknown_share(self, text: str) -> float:
         """How much of a text is words that occur in none, from 0 to 1; rare words count for more than common ones."""
-        rarity = [self._rarity.get(word, math.log(len(self.texts))) for word in clean(text)]
-        unknown = sum(value for word, value in zip(clean(text), rarity, strict=True) if word not in self.words)
-        return unknown / max(sum(rarity), 1e-9)
+        words = clean(text)
+        unknown = sum(self._rarity(word) for word in words if word not in self.words)
+        return unknown / max(sum(map(self._rarity, words)), 1e-9)
 
     @cached_property
-    def _rarity(self) -> dict[str, float]:
-        counts = Counter(feature for text in self.texts for feature in _features(text))
-        return {feature: math.log(len(self.texts) / count) for feature, count in counts.items()}
+    def _known(self) -> list[set[str]]:
+        return list(map(_features, self.texts))
 
     @cached_property
-    def _vectors(self) -> list[dict[str, float]]:
-        vectors: list[dict[str, float]] = []
-        for text in self.texts:
-            rarity = {feature: self._rarity[feature] for feature in _features(text)}
-            norm = math.sqrt(sum(value**2 for value in rarity.values()))
-            vectors.append({feature: value / norm for feature, value in rarity.items()})
-        return vectors
+    def _counts(self) -> Counter[str]:
+        return Counter(feature for features in self._known for feature in features)
+
+    def _rarity(self, feature: str) -> float:
+        return math.log(len(self.texts) / max(1, self._counts[feature]))
 
 
 def _features(text: str) -> set[str]:
     words = clean(text)
-    return {*words, *(f"#{framed[start : start + 3]}" for word in words for framed in [f"<{word}>"]
-                      for start in range(len(framed) - 2))}  # fmt: skip
+    return {*words, *(f"#{f'<{word}>'[start : start + 3]}" for word in words for start in range(len(word)))}
 
 
 class MagentaEncoder(StyleEncoder):

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -51,7 +50,10 @@ class Teacher(Loss):
         renders, image, given = result.renders.color, result.style.image, result.style.has_image
         if image is None:
             return renders.new_zeros(())
-        distance = self._distance(renders, self.stylized(result.views.images, image))
+        target = self.stylized(result.views.images, image)
+        distance = _difference(renders, target)
+        for axis in (-1, -2):
+            distance = distance + self.edges * _difference(renders.diff(dim=axis), target.diff(dim=axis))
         if given is None:
             return distance.mean()
         return torch.where(given, distance, 0).sum() / given.sum().clamp_min(1)
@@ -64,9 +66,6 @@ class Teacher(Loss):
         vectors = self.painter.prediction(centre_square(style))
         return stylize_images(self.painter.transfer, photographs, vectors, working_size=self.working_size, joint=True)
 
-    def _distance(self, renders: Float[Tensor, "B V 3 H W"], target: Tensor) -> Float[Tensor, " B"]:
-        terms = [F.l1_loss(renders, target, reduction="none").flatten(1).mean(1)]
-        for axis in (-1, -2):
-            edges = F.l1_loss(renders.diff(dim=axis), target.diff(dim=axis), reduction="none")
-            terms.append(self.edges * edges.flatten(1).mean(1))
-        return torch.stack(terms).sum(0)
+
+def _difference(first: Float[Tensor, "B V 3 h w"], second: Float[Tensor, "B V 3 h w"]) -> Float[Tensor, " B"]:
+    return (first - second).abs().flatten(1).mean(1)

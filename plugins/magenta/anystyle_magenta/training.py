@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,24 +46,24 @@ class CaptionBatches:
         self.pool = len(styles) if pool is None else min(pool, len(styles))
         if self.pool < batch_size:
             raise UserError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
-        self._known: dict[int, tuple[str, Tensor]] = {}
+        self._row = cache(self._read_row)
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> CaptionBatch:
         """The rows of ``step`` that process ``rank`` of ``world`` works on."""
         rows = generator(self.seed, 16, step).choice(self.pool, self.batch_size, replace=False)[rank::world]
         return self.read(rows.tolist())
 
-    @torch.no_grad()
     def read(self, rows: Sequence[int]) -> CaptionBatch:
         """Captions and vectors of some styles."""
-        for row in rows:
-            if row not in self._known:
-                style = self.styles.read(row)
-                if style.image is None or not style.text or not style.text[0]:
-                    raise UserError(f"style {row} lacks a picture or a caption; use styles=captioned")
-                self._known[row] = style.text[0], self.encoder.embed_images(style.image)[0]
-        texts, vectors = zip(*(self._known[row] for row in rows), strict=True)
+        texts, vectors = zip(*map(self._row, rows), strict=True)
         return CaptionBatch(texts, torch.stack(vectors))
+
+    @torch.no_grad()
+    def _read_row(self, row: int) -> tuple[str, Tensor]:
+        style = self.styles.read(row)
+        if style.image is None or not style.text or not style.text[0]:
+            raise UserError(f"style {row} lacks a picture or a caption; use styles=captioned")
+        return style.text[0], self.encoder.embed_images(style.image)[0]
 
 
 class CaptionTraining(Training):
@@ -133,8 +134,7 @@ class CaptionTraining(Training):
         """Log how often a caption's nearest picture in the batch is its own, and the relative error."""
         predicted = self.tower(batch.texts)
         figures = {f"recall_at_{k}": recall(predicted, batch.vectors, k) for k in (1, 5)}
-        centred = batch.vectors - self.tower.mean
-        figures["error"] = (predicted - batch.vectors).square().sum() / centred.square().sum()
+        figures["error"] = F.mse_loss(predicted, batch.vectors) / (batch.vectors - self.tower.mean).square().mean()
         self.log_dict({f"val/{name}": value for name, value in figures.items()}, batch_size=len(batch.texts))
 
     def configure_optimizers(self) -> Any:

@@ -108,11 +108,8 @@ def test_working_sizes_keep_the_aspect(size, working_size, expected):
 
 def test_what_published_weights_cannot_take_is_refused():
     for dim, style_dim in ((12, 100), (3, 128)):
-        with pytest.raises(
-            ValueError, match=r"stylizes colours, 3 channels, by the 100 numbers.*placement=color"
-        ) as caught:
+        with pytest.raises(ValueError, match=r"stylizes colours, 3 channels, by the 100 numbers.*placement=color"):
             MagentaInjector(dim=dim, style_dim=style_dim)
-        assert "\n" not in str(caught.value)
 
 
 @torch.no_grad()

@@ -21,7 +21,7 @@ def stylizer():
 @pytest.fixture(scope="module")
 def scene(stylizer):
     stylizer.branch.single_view = False  # the network alone; texturing has tests of its own
-    return stylizer.encode(views(1, 3, (112, 112)))
+    return stylizer.encode(views(1, 2, (56, 56)))
 
 
 @torch.no_grad()

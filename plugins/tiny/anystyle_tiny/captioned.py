@@ -13,10 +13,10 @@ from anystyle.data.style_folder import FolderStyles
 from anystyle.ranges import AtLeastOne, Count, Fraction
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, WORDS, join_names
-from anystyle_tiny.procedural.layout import Draw, ImageSide
+from anystyle_tiny.procedural.layout import SPLITS, Draw, ImageSide
 from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, draw_phrase
-from anystyle_tiny.procedural.styles import SPLITS, ProceduralStyles, StyleTraits, draw_palette, paint_style
+from anystyle_tiny.procedural.styles import ProceduralStyles, StyleTraits, draw_palette, paint_style
 
 PHRASES = 0.3125
 """Fraction of phrases among the styles that are not from a folder; the others are procedural."""
@@ -76,15 +76,16 @@ class CaptionedPictures(StyleSource):
             text, traits = draw_phrase(draw)
             image = paint_style(draw, traits, self.size)
         else:
-            picture = self._retouched if self.retouch else _untouched
-            text, image = picture(draw, folders[draw.below(len(folders))])
+            text, image = self._from(folders[draw.below(len(folders))], draw)
         return Style(image=image, text=(text,), names=(f"captioned-{self.split}-{self.seed}-{style:05d}",))
 
-    def _retouched(self, draw: Draw, folder: FolderStyles) -> tuple[str, Float[Tensor, "1 3 H W"]]:
+    def _from(self, folder: FolderStyles, draw: Draw) -> tuple[str, Float[Tensor, "1 3 H W"]]:
         index = draw.below(len(folder))
         picture = folder.read(index)
         assert picture.image is not None and picture.text is not None
         image, caption = picture.image, picture.text[0]
+        if not self.retouch:
+            return caption, _crop(draw, image)
         noun = "photo" if folder is self.photographs else "painting"
         if caption and (index % 3 > 0) == (self.split == "train"):
             return caption, _crop(draw, image)
@@ -100,12 +101,6 @@ class CaptionedPictures(StyleSource):
         sheet = StyleTraits(pattern, colors, draw.below(3), draw.below(len(BRUSHWORK)), -1, draw_palette(draw, colors))
         covered = 0.4 * recolored + 0.6 * paint_style(draw, sheet, self.size)
         return f"a {noun} in {named} with {nouns[draw.below(len(nouns))]}", covered
-
-
-def _untouched(draw: Draw, folder: FolderStyles) -> tuple[str, Float[Tensor, "1 3 H W"]]:
-    picture = folder.read(draw.below(len(folder)))
-    assert picture.image is not None and picture.text is not None
-    return picture.text[0], _crop(draw, picture.image)
 
 
 def gradient_map(image: Float[Tensor, "1 3 H W"], palette: Float[Tensor, "K 3"]) -> Float[Tensor, "1 3 H W"]:

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import torch
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
-from anystyle.contracts.protocol import Evaluation, Protocol, Row, required
+from anystyle.contracts.protocol import Evaluation, Protocol, required
 from anystyle.errors import UserError
 from anystyle.evaluation.judge import SceneFigures, aggregate, judge_scene, mean
 from anystyle.io.atomic import atomic_path
@@ -19,6 +19,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Comparison, OnProgress, Progress, Scene, Style, Views
 
 GUIDES = ("text", "image")
+T = TypeVar("T")
 DEPTH_CHANGE = "depth_change"
 
 
@@ -59,21 +60,21 @@ class TextAndImage(Protocol):
 
     def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         options = {name: getattr(self, name) for name in ("num_scenes", "num_styles", "num_views")}
-        figures: dict[str, dict[str, dict[str, SceneFigures]]] = {guide: {} for guide in GUIDES}
+        figures: dict[str, dict[str, SceneFigures]] = {}
         runs = [(scene, guide) for scene in range(self.num_scenes) for guide in GUIDES]
         for done, (scene, guide) in enumerate(runs):
             on_progress(Progress.count("scenes", done, len(runs)))
-            figures[guide][self.scenes.name(scene)] = self._judge(scene, guide, out)
+            judged = {f"{name}_{guide}": _named(guide, each) for name, each in self._judge(scene, guide, out).items()}
+            figures.setdefault(self.scenes.name(scene), {}).update(judged)
         on_progress(Progress.count("scenes", len(runs), len(runs)))
-        images = self.num_styles * sum(len(self._views(scene)) for scene in range(self.num_scenes))
-        evaluations = {guide: aggregate(scenes, n=images) for guide, scenes in figures.items()}
-        return _together(evaluations).with_facts(**options)
+        images = self.num_styles * sum(len(self._views(scene)) for scene, _ in runs)
+        return aggregate(figures, n=images).with_facts(guides=list(GUIDES), **options)
 
     def _views(self, scene: int) -> range:
         return range(min(self.num_views, self.scenes.num_views(scene)))
 
     def _judge(self, scene: int, guide: str, out: Path) -> dict[str, SceneFigures]:
-        """Figures of one scene in all styles."""
+        """The scores of one scene in all styles."""
         encoded = self._encode(scene)
         comparisons = self._stylize(scene, encoded, guide)
         if guide == GUIDES[0]:
@@ -134,32 +135,11 @@ def _write_pictures(images: Path, comparisons: Sequence[Comparison]) -> None:
                 to_pil(image).save(temporary)
 
 
-def _together(evaluations: Mapping[str, Evaluation]) -> Evaluation:
-    """The evaluations of all guides as one, each guide behind the names of its figures."""
+def _named(guide: str, one: SceneFigures) -> SceneFigures:
+    """Scores with the guide behind their names."""
 
-    def named(guide: str, figures: Mapping[str, Any]) -> dict[str, Any]:
-        return {f"{name}_{guide}": value for name, value in figures.items()}
+    def named(values: Mapping[str, T]) -> dict[str, T]:
+        return {f"{name}_{guide}": value for name, value in values.items()}
 
-    def merged(which: str) -> dict[str, Any]:
-        return {k: v for guide, each in evaluations.items() for k, v in named(guide, getattr(each, which)).items()}
-
-    first = next(iter(evaluations.values()))
-    groups: dict[str, dict[str, float]] = {}
-    rows: dict[tuple[str, str], dict[str, float]] = {}
-    warned: list[str] = []
-    for guide, each in evaluations.items():
-        for group, figures in each.groups.items():
-            groups.setdefault(group, {}).update(named(guide, figures))
-        for row in each.rows:
-            rows.setdefault((row.scene, row.style), {}).update(named(guide, row.figures))
-        warned += each.provenance["warnings"]
-    return replace(
-        first,
-        figures=merged("figures"),
-        n=sum(each.n for each in evaluations.values()),
-        better=merged("better"),
-        stand_ins=merged("stand_ins"),
-        groups=groups,
-        rows=tuple(Row(scene, style, figures) for (scene, style), figures in rows.items()),
-        provenance={**first.provenance, "warnings": list(dict.fromkeys(warned)), "guides": list(evaluations)},
-    )
+    styles = {style: named(figures) for style, figures in one.styles.items()}
+    return SceneFigures(named(one.figures), styles, named(one.better), named(one.stand_ins), one.warned)

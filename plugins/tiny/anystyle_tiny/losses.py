@@ -26,6 +26,14 @@ class Checkerboard(Loss):
     Args:
         period: Side of a patch, in pixels; of the bundled backbones by default.
         weight: In the objective; values are near 0.01.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> result = stylization()
+        >>> renders = replace(result.renders, color=result.views.images + torch.tensor([0.0, 0.1]).repeat(40))
+        >>> Checkerboard()(replace(result, renders=renders))  # the mean amplitude of stripes
+        tensor(0.0500)
     """
 
     def __init__(self, *, period: Annotated[int, Range(ge=2)] = 14, weight: float = 40.0) -> None:
@@ -46,12 +54,20 @@ class EdgeAwareSmoothness(Loss):
     """Prefer renders that change where the photographs do: ``mean |dx I| exp(-k |dx I^photograph|)``, across plus down.
 
     The first-order smoothness of Godard et al. 2017 (Eq. 2 there, on disparities), on colours: absolute differences of
-    neighbouring pixels, averaged over channels. A term on only the distribution of colours allows stripes
-    unrelated to the scene; this one penalises them, but not the edges of the scene.
+    neighbouring pixels, averaged over channels. Terms on the distribution of colours allow stripes unrelated to
+    the scene; this one penalises them, but not the edges of the scene.
 
     Args:
         sharpness: The ``k`` above, for differences of sRGB in [0, 1].
         weight: In the objective.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> result = stylization()
+        >>> ramp = torch.linspace(0, 0.79, 80).expand_as(result.views.images)  # steps of 0.01 across
+        >>> EdgeAwareSmoothness(sharpness=0.0)(replace(result, renders=replace(result.renders, color=ramp)))
+        tensor(0.0100)
     """
 
     def __init__(self, *, sharpness: NonNegative = 20.0, weight: float = 1.0) -> None:
@@ -78,6 +94,14 @@ class Luminance(Loss):
         scales: Sides of the squares that are averaged, in pixels.
         scale_weights: Weight of each scale.
         weight: In the objective.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> result = stylization()
+        >>> negative = replace(result, renders=replace(result.renders, color=1 - result.views.images))
+        >>> round(float(Luminance()(negative)), 1)  # 4 for each weight of a scale
+        4.6
     """
 
     def __init__(
@@ -85,7 +109,9 @@ class Luminance(Loss):
     ) -> None:
         super().__init__()
         if len(scales) != len(scale_weights):
-            raise UserError(f"there are {len(scales)} scales and {len(scale_weights)} weights; give one weight a scale")
+            raise UserError(
+                f"there are {len(scales)} scales and {len(scale_weights)} weights; give one weight per scale"
+            )
         self.scales = tuple(scales)
         self.scale_weights = tuple(scale_weights)
         self.weight = weight

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from kornia.color import rgb_to_grayscale
 from torch import Tensor, nn
 
@@ -20,10 +20,8 @@ SIDE = 64
 COLORED_SIDE = 96
 """Shorter side, at most, of those that colours are read off. A smaller copy mixes what lies side by side: the ramp of
 one of 64 pixels is 2 % of the variance off."""
-COLORS = 32
-"""Colours of the ramp that the image tower reads."""
-KNOTS = 12
-"""Colours of the ramp that an embedding gives back."""
+COLORS, KNOTS = 32, 12
+"""Colours of the ramps that the image tower reads, and that an embedding gives back."""
 
 
 class Tiny(StyleEncoder):
@@ -66,17 +64,17 @@ class Tiny(StyleEncoder):
 
     def from_image_tower(self, raw: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
         """Embeddings from the raw vectors of the image tower."""
-        return self._whiten(raw, self.image_mean)
+        return F.normalize((raw - self.image_mean) @ self.whitening, dim=-1)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        return self._whiten(self.text_tower(texts), self.text_mean)
+        return F.normalize((self.text_tower(texts) - self.text_mean) @ self.whitening, dim=-1)
 
     def palette(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M colors 3"]:
         """Twelve sRGB colours from dark to light, each for a twelfth of the pixels, that an embedding stands for.
 
         They are linear in the embedding, and so may lie a little outside [0, 1].
         """
-        return self.palette_head(vectors * self.dim**0.5).unflatten(-1, (KNOTS, 3))
+        return self.palette_head(self.scaled(vectors)).unflatten(-1, (KNOTS, 3))
 
     @torch.no_grad()
     def whiten(self, images: Float[Tensor, "N 3 H W"], texts: Sequence[str], *, floor: float = 0.02) -> None:
@@ -91,8 +89,9 @@ class Tiny(StyleEncoder):
         # The largest direction keeps its length, so that embeddings before and after are of one size.
         self.whitening.copy_((axes * (scale / scale[-1])) @ axes.T)
 
-    def _whiten(self, raw: Float[Tensor, "M D"], mean: Float[Tensor, " D"]) -> Float[Tensor, "M D"]:
-        return F.normalize((raw - mean) @ self.whitening, dim=-1)
+    def scaled(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
+        """Unit vectors with elements of about unit size, as linear layers expect them."""
+        return vectors * self.dim**0.5
 
 
 class ImageTower(nn.Module):
@@ -135,19 +134,16 @@ class TinyTextTower(nn.Module):
         """Embed texts; in training they start at a random position, so that all positions are learnt."""
         tokens, present = self.table.read(texts, self.max_words)
         lengths = present.sum(1)
-        tokens = tokens + self.positions[self._indices(lengths, present.shape[1])]
+        steps = torch.arange(present.shape[1], device=lengths.device).expand_as(present)
+        if self.training:
+            room = self.max_words - lengths
+            start = (torch.rand(len(lengths), device=lengths.device) * (room + 1)).long()
+            steps = (steps + start[:, None]).clamp_max(self.max_words - 1)
+        tokens = tokens + self.positions[steps]
         for block in self.blocks:
             tokens = block(tokens, present)
         mean = (tokens * present[..., None]).sum(1) / lengths[:, None]
         return F.normalize(self.head(self.norm(mean)), dim=-1)
-
-    def _indices(self, lengths: Int[Tensor, " M"], longest: int) -> Int[Tensor, "M L"]:
-        steps = torch.arange(longest, device=lengths.device).expand(len(lengths), longest)
-        if not self.training:
-            return steps
-        room = self.max_words - lengths
-        start = (torch.rand(len(lengths), device=lengths.device) * (room + 1)).long()
-        return (steps + start[:, None]).clamp_max(self.max_words - 1)
 
 
 class TextBlock(nn.Module):

@@ -7,9 +7,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from anystyle.contracts import StyleSource
+from anystyle.errors import UserError
+from anystyle.testing.toy.styles import ToyStyles
 from anystyle.training.data import StepData
-from anystyle.types import Style
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.procedural.styles import ProceduralStyles
 from anystyle_tiny.style_encoder import Tiny
@@ -42,17 +42,9 @@ def fit(training: pl.LightningModule, source: StyleBatches, steps: int) -> list[
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", module=r"lightning\..*")
         warnings.filterwarnings("ignore", message=".*LeafSpec.*")
-        trainer = pl.Trainer(
-            max_steps=steps,
-            max_epochs=-1,
-            accelerator="cpu",
-            devices=1,
-            logger=False,
-            enable_checkpointing=False,
-            enable_progress_bar=False,
-            enable_model_summary=False,
-            callbacks=[Record()],
-        )
+        quiet = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
+        options = {"max_epochs": -1, "accelerator": "cpu", "devices": 1, "callbacks": [Record()]}
+        trainer = pl.Trainer(max_steps=steps, **options, **dict.fromkeys(quiet, False))
         trainer.fit(training, datamodule=StepData(source))
     return losses
 
@@ -70,15 +62,8 @@ class TestBatches:
         assert batch.photos.shape == (2, 3, SIZE, SIZE)
 
     def test_what_cannot_serve_is_refused(self, styles: ProceduralStyles, scenes: ProceduralScenes) -> None:
-        class Paintings(StyleSource):
-            def __len__(self) -> int:
-                return 9
-
-            def read(self, style: int) -> Style:
-                raise NotImplementedError
-
-        with pytest.raises(ValueError, match=r"the traits of Paintings are not known; use styles=procedural"):
-            StyleBatches(Paintings(), scenes)
+        with pytest.raises(UserError, match=r"the traits of ToyStyles are not known; use styles=procedural"):
+            StyleBatches(ToyStyles(), scenes)
         with pytest.raises(ValueError, match="this training needs scenes"):
             StyleBatches(styles, None)
         with pytest.raises(ValueError, match="a batch of 64 needs as many styles, and there are 24"):

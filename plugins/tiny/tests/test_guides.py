@@ -34,17 +34,11 @@ class Painter(Stylizer):
         )
         super().__init__(backbone=backbone, style_encoder=encoder, branch=branch, renderer=ToyRenderer())
         self.known = [styles.read(place) for place in range(STYLES)]
-        self.drawn = 0
         self.wanted = None
 
     def embed(self, *, text=None, image=None):
-        guide = "image" if text is None else "text"
-        (place,) = (
-            place
-            for place, style in enumerate(self.known)
-            if (style.text == text if text is not None else torch.equal(style.image, image))
-        )
-        vector = torch.tensor([[float(place), float(guide == "image"), 0.0, 0.0]])
+        same = [style.text == text if image is None else style.image.equal(image) for style in self.known]
+        vector = torch.tensor([[float(same.index(True)), float(text is None), 0.0, 0.0]])
         return StyleEmbedding(vector, vector)
 
     def restyle(self, scene, embedding):
@@ -57,7 +51,6 @@ class Painter(Stylizer):
         return super().unstyled(scene)
 
     def render(self, gaussians, cameras):
-        self.drawn += 1
         views, size = cameras.intrinsics.shape[1], cameras.size
         place, farther = self.wanted or (0, 0.0)
         picture = F.interpolate(self.known[place].image, size)[:, None].expand(1, views, 3, *size)
@@ -70,14 +63,9 @@ class Painter(Stylizer):
 @pytest.fixture
 def protocol():
     styles = ToyStyles(size=16, period=8)
+    counts = {"num_scenes": 2, "num_styles": STYLES, "num_views": 2}
     return TextAndImage(
-        stylizer=Painter(styles),
-        metrics={"toy": ToyMetric()},
-        scenes=ToyScenes(),
-        styles=styles,
-        num_scenes=2,
-        num_styles=STYLES,
-        num_views=2,
+        stylizer=Painter(styles), metrics={"toy": ToyMetric()}, scenes=ToyScenes(), styles=styles, **counts
     )
 
 

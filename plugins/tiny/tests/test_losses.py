@@ -5,9 +5,6 @@ import math
 import pytest
 import torch
 
-from anystyle.contracts import Loss
-from anystyle.errors import UserError
-from anystyle.registry.build import build
 from anystyle_tiny.losses import Checkerboard, Luminance
 from tests.support.oracle import smooth_image
 from tests.support.style_cases import stylization
@@ -26,11 +23,6 @@ def test_tints_and_strokes_of_another_period_cost_nothing() -> None:
     assert loss(stylization(photographs * 0 + 0.3 + photographs, photographs)).item() == pytest.approx(0, abs=1e-6)
     waves = 0.1 * torch.sin(2 * math.pi * (torch.arange(56) + 0.5) / 8)  # 7 of them in the 4 patches of a row
     assert loss(stylization(photographs + waves, photographs)).item() == pytest.approx(0, abs=1e-6)
-
-
-def test_a_period_below_two_pixels_is_refused() -> None:
-    with pytest.raises(UserError, match=r"period=1: expected int >= 2"):
-        build(Loss, {"_target_": "anystyle_tiny.losses.Checkerboard", "period": 1})
 
 
 def test_luminance_ignores_mean_contrast_and_what_is_finer_than_its_scale() -> None:

@@ -49,16 +49,10 @@ def test_whitening_levels_the_spectrum_and_centres_both_modalities() -> None:
     with torch.no_grad():
         before = spread(encoder.embed_images(images))
         encoder.whiten(images, texts, floor=0.001)
-        raw = torch.cat(
-            [
-                encoder.image_tower(images) - encoder.image_mean,
-                encoder.text_tower(texts) - encoder.text_mean,
-            ]
-        )
-        torch.testing.assert_close(raw.mean(0), torch.zeros(8), atol=1e-5, rtol=0)
+        raw = encoder.image_tower(images) - encoder.image_mean, encoder.text_tower(texts) - encoder.text_mean
+        torch.testing.assert_close(torch.cat(raw).mean(0), torch.zeros(8), atol=1e-5, rtol=0)
         # W C W with the floor: eigenvalues s / (s + floor) up to one common factor.
-        covariance = torch.cov((encoder.image_tower(images) - encoder.image_mean).T)
-        covariance = (covariance + torch.cov((encoder.text_tower(texts) - encoder.text_mean).T)) / 2
+        covariance = (torch.cov(raw[0].T) + torch.cov(raw[1].T)) / 2
         values = torch.linalg.eigvalsh(covariance)
         found = torch.linalg.eigvalsh(encoder.whitening @ covariance @ encoder.whitening)
         expected = (values / (values + 0.001 * values[-1])).sort().values
@@ -70,9 +64,8 @@ def test_the_palette_of_a_mixture_is_the_mixture_of_the_palettes(encoder: Tiny) 
     vectors = encoder.embed_texts(TEXTS)
     palette = encoder.palette(vectors)
     assert palette.shape == (4, KNOTS, 3)
-    torch.testing.assert_close(
-        encoder.palette(vectors.lerp(vectors.roll(1, 0), 0.3)), palette.lerp(palette.roll(1, 0), 0.3)
-    )
+    mixed = encoder.palette(vectors.lerp(vectors.roll(1, 0), 0.3))
+    torch.testing.assert_close(mixed, palette.lerp(palette.roll(1, 0), 0.3))
 
 
 def test_colours_are_read_off_more_pixels_than_textures(encoder: Tiny) -> None:

@@ -1,11 +1,12 @@
 """Depth fused into a surface: a truncated signed distance function (Curless and Levoy 1996), and marching cubes."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, maximum_filter
 from scipy.sparse import coo_matrix
@@ -14,39 +15,31 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle_formats.mesh.depth import DepthViews, points_of, projected, sampled
+from anystyle_formats.mesh.depth import DepthViews, sampled
 
 RESOLUTION = 192
 """Voxels along the longest side of a scene."""
 BLUR = 1.0
-"""Of the distances, in voxels: depth from Gaussians is rough."""
+"""Deviation of the blur of distances, in voxels: depth from Gaussians is rough."""
 TRUNCATION, NOISE = 4.0, 0.02
 """Distances count so far before and behind a surface: in voxels, and at least as a part of the median depth."""
 TAILS = 0.01
-"""Of the points, on each side of each axis, that do not count for where the scene ends."""
-SMALLEST = 0.01
-"""Pieces with fewer faces, relative to the largest, are dropped."""
+"""Share of the points, on each side of each axis, that do not count for where the scene ends."""
+FEWEST, SMALLEST = 4, 0.01
+"""Pieces with fewer faces, or fewer relative to the largest piece, are dropped."""
 FEWEST_VIEWS = 0.5
-"""In a neighbourhood of the blur; where fewer see a voxel, nothing is known of it."""
+"""Where fewer views, in a neighbourhood of the blur, see a voxel, nothing is known of it."""
 MAX_POINTS, CHUNK = 1_000_000, 1 << 18
 """Points that say where a surface is, and voxels that are integrated at once."""
-FEWEST = 4
-"""Faces; less is no surface."""
+_NOTHING = "the views agree on no surface; there is nothing to mesh"
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """Triangles, counter-clockwise as seen from outside.
+class Mesh(NamedTuple):
+    """Triangles, counter-clockwise as seen from outside: vertices in the cameras' axes, with sRGB colours in [0, 1]."""
 
-    Args:
-        vertices: In the axes of the cameras.
-        faces: Three vertices each.
-        colors: Of the vertices, sRGB in [0, 1].
-    """
-
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.int64]
-    colors: NDArray[np.float32]
+    vertices: Float[np.ndarray, "N 3"]
+    faces: Int[np.ndarray, "M 3"]
+    colors: Float[np.ndarray, "N 3"]
 
 
 def fused(views: DepthViews, resolution: int = RESOLUTION) -> Mesh:
@@ -55,7 +48,10 @@ def fused(views: DepthViews, resolution: int = RESOLUTION) -> Mesh:
     Raises:
         UserError: They agree on none.
     """
-    points = _points(views)
+    points = views.points[views.agreed]
+    if not len(points):
+        raise UserError(_NOTHING)
+    points = points[:: math.ceil(len(points) / MAX_POINTS)]
     low, voxel, shape = _grid(points, resolution)
     reach = max(TRUNCATION * voxel, NOISE * float(views.depth[views.agreed].median()))
     inside = ((points - low) / voxel).floor().long().clamp_min(0).minimum(torch.tensor(shape) - 1)
@@ -66,15 +62,6 @@ def fused(views: DepthViews, resolution: int = RESOLUTION) -> Mesh:
     vertices, faces = _surface(distance, weight)
     vertices = vertices * voxel + low.numpy() + 0.5 * voxel
     return Mesh(vertices.astype(np.float32), faces, _colors(views, torch.from_numpy(vertices).float(), reach))
-
-
-def _points(views: DepthViews) -> Float[Tensor, "N 3"]:
-    """What the views agree on, at most a million points."""
-    parts = [points_of(views.cameras, view, depth)[views.agreed[view]] for view, depth in enumerate(views.depth)]
-    points = torch.cat(parts)
-    if not len(points):
-        raise UserError("the views agree on no surface; there is nothing to mesh")
-    return points[:: math.ceil(len(points) / MAX_POINTS)]
 
 
 def _grid(points: Float[Tensor, "N 3"], resolution: int) -> tuple[Float[Tensor, "3"], float, tuple[int, int, int]]:
@@ -94,13 +81,12 @@ def _integrated(
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
     """Mean signed distance to the surface where ``near``, as parts of ``reach``, and how many views count."""
     distance, weight = np.ones(near.shape, np.float32), np.zeros(near.shape, np.int16)
-    depth = torch.where(views.agreed, views.depth, 0)
+    agreed = replace(views, depth=torch.where(views.agreed, views.depth, 0))
     for voxels in np.array_split(np.argwhere(near), math.ceil(near.sum() / CHUNK)):
         centers = (torch.from_numpy(voxels) + 0.5) * voxel + low
         total, count = torch.zeros(len(centers)), torch.zeros(len(centers), dtype=torch.int16)
-        for view in range(len(depth)):
-            where, ahead = projected(views.cameras, view, centers)
-            found = sampled(depth[view][None], where)[0]
+        for view in range(len(views.depth)):
+            _, ahead, found = agreed.seen_at(view, centers)
             signed = (found - ahead) / reach
             counts = (found > 0) & (signed > -1)
             total += torch.where(counts, signed.clamp(max=1), 0)
@@ -118,20 +104,20 @@ def _surface(distance: NDArray[np.float32], weight: NDArray[np.int16]) -> tuple[
     distance = np.divide(gaussian_filter(distance * weight, BLUR), near, out=np.ones_like(near), where=near > 1e-6)
     known = near > FEWEST_VIEWS
     if not known.any() or not distance.min() < 0 < distance.max():
-        raise UserError("the views agree on no surface; there is nothing to mesh")
+        raise UserError(_NOTHING)
     vertices, faces, _, _ = marching_cubes(distance, 0.0)
     # A vertex lies on the line between two voxels; where nobody saw one of them there is no surface.
     seen = np.logical_and(*(known[tuple(end(vertices).astype(int).T)] for end in (np.floor, np.ceil)))
     faces = faces[seen[faces].all(1)]
     if not len(faces):
-        raise UserError("the views agree on no surface; there is nothing to mesh")
+        raise UserError(_NOTHING)
     ends = np.repeat(faces[:, 0], 2), faces[:, 1:].ravel()
     edges = coo_matrix((np.ones(len(ends[0])), ends), 2 * (len(vertices),))
     _, piece = connected_components(edges, directed=False)
     sizes = np.bincount(piece[faces[:, 0]], minlength=piece.max() + 1)
     faces = faces[(sizes >= max(FEWEST, SMALLEST * sizes.max()))[piece[faces[:, 0]]]]
     if not len(faces):
-        raise UserError("the views agree on crumbs of a surface alone; there is nothing to mesh")
+        raise UserError("the views agree only on crumbs of a surface; there is nothing to mesh")
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used].astype(np.float64), faces.reshape(-1, 3)
 
@@ -140,8 +126,7 @@ def _colors(views: DepthViews, vertices: Float[Tensor, "N 3"], reach: float) -> 
     """The mean colour of the views that see a vertex, near and at its depth; of its neighbour where none does."""
     total, weight = torch.zeros(3, len(vertices)), torch.zeros(len(vertices))
     for view in range(len(views.depth)):
-        where, ahead = projected(views.cameras, view, vertices)
-        found = sampled(views.depth[view][None], where)[0]
+        where, ahead, found = views.seen_at(view, vertices)
         near = (1 - (found - ahead).abs() / reach).clamp(0, 1) ** 2
         counts = torch.where(found > 0, near / ahead.clamp_min(1e-6) ** 2, 0)
         total += counts * sampled(views.color[view], where, "bilinear")

@@ -10,14 +10,14 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.pipeline.load import default_device
 from anystyle.registry.build import build
-from anystyle.types import Cameras, StyledScene
+from anystyle.types import StyledScene
 from anystyle_formats.mesh.depth import DepthViews, render_depth
 from anystyle_formats.mesh.fusion import fused
 
 MAX_VIEWS, LONG_SIDE = 64, 640
 """Cameras, evenly spaced of more, and the longer side in pixels, that depth is rendered for."""
 AGREEMENT = 0.2
-"""Of the surfaces, the smallest part that other cameras have to see at the same depth."""
+"""The smallest part of the surfaces that other cameras have to see at the same depth."""
 
 
 class Obj(Format):
@@ -48,18 +48,15 @@ def _views(scene: StyledScene) -> DepthViews:
             f"a mesh is made from two cameras or more, and this scene has {count or 'none'}; export the folder of "
             "anystyle stylize, or put cameras.json, transforms.json or a COLMAP model beside the file"
         )
-    views = render_depth(scene.styles[-1][1].to(default_device()), _cameras(scene.cameras), build(Renderer, "auto"))
+    kept = torch.linspace(0, count - 1, min(count, MAX_VIEWS)).round().long()
+    scale = min(1.0, LONG_SIDE / max(scene.cameras.size))
+    height, width = (max(1, round(side * scale)) for side in scene.cameras.size)
+    device = default_device()
+    cameras = scene.cameras.select(kept).resized((height, width)).to(device)
+    views = render_depth(scene.styles[-1][1].to(device), cameras, build(Renderer, "auto"))
     if views.agreement < AGREEMENT:
         raise UserError(
             f"of what the cameras see {views.agreement:.0%} is at the same depth for others, and a mesh needs "
             f"{AGREEMENT:.0%}; photograph from more places, or fit with reconstruction.quality=best"
         )
     return views
-
-
-def _cameras(cameras: Cameras) -> Cameras:
-    count, (height, width) = cameras.intrinsics.shape[1], cameras.size
-    kept = torch.linspace(0, count - 1, min(count, MAX_VIEWS)).round().long()
-    scale = min(1.0, LONG_SIDE / max(height, width))
-    size = max(1, round(height * scale)), max(1, round(width * scale))
-    return cameras.select(kept).resized(size).to(default_device())

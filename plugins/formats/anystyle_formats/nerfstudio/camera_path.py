@@ -1,9 +1,8 @@
 """Camera paths that nerfstudio's viewer saves, ``camera_paths/*.json``."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import torch
@@ -17,7 +16,7 @@ from anystyle.ranges import Positive
 from anystyle.types import Cameras
 
 FPS = 24.0
-"""Of a path that says neither frames a second nor seconds."""
+"""Of a path that says neither frames per second nor seconds."""
 _Side = Annotated[int, Meta(ge=1, le=1 << 15)]
 
 
@@ -35,14 +34,8 @@ class _PathFile(msgspec.Struct):
     seconds: Positive | None = None
 
 
-@dataclass(frozen=True)
-class CameraTrajectory:
-    """A flight.
-
-    Args:
-        cameras: One a frame, in the coordinates of the run's model.
-        times: When, in seconds, from 0.
-    """
+class CameraTrajectory(NamedTuple):
+    """Cameras in the coordinates of the run's model, one per frame, and their times in seconds, from 0."""
 
     cameras: Cameras
     times: Float[Tensor, " V"]
@@ -54,24 +47,23 @@ def read_camera_path(path: Path) -> CameraTrajectory:
     A frame has a pose with OpenGL's axes, by rows, and a vertical field of view in degrees.
     """
     content = read_json(path, _PathFile, what="camera path of nerfstudio")
+    frames, height, width = content.camera_path, content.render_height, content.render_width
     if content.camera_type.lower() != "perspective":
         raise UserError(f"{path} is a path of a camera of type {content.camera_type!r}; save one of type perspective")
-    if not content.camera_path:
+    if not frames:
         raise UserError(f"{path} has no frames; add keyframes in the viewer, and press Generate Command again")
-    poses = torch.tensor([frame.camera_to_world for frame in content.camera_path], dtype=torch.float64)
-    poses = poses.unflatten(1, (4, 4)) * torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
-    turns, last = poses[:, :3, :3], poses.new_tensor([0.0, 0.0, 0.0, 1.0])
+    poses = torch.tensor([frame.camera_to_world for frame in frames], dtype=torch.float64).unflatten(1, (4, 4))
+    turns = poses[:, :3, :3]
     rigid = (turns @ turns.mT - torch.eye(3)).abs().amax() < 1e-3 and bool((turns.det() > 0).all())
-    if not rigid or not torch.equal(poses[:, 3], last.expand(len(poses), 4)):
-        raise UserError(f"{path}: camera_to_world of a frame is no rotation and translation, by rows")
-    height, width = content.render_height, content.render_width
-    focal = torch.tensor([height / 2 / math.tan(math.radians(frame.fov) / 2) for frame in content.camera_path])
-    intrinsics = torch.eye(3).repeat(len(poses), 1, 1)
-    intrinsics[:, 0, 0] = intrinsics[:, 1, 1] = focal
-    intrinsics[:, 0, 2], intrinsics[:, 1, 2] = width / 2, height / 2
-    fps = content.fps or (len(poses) / content.seconds if content.seconds else FPS)
-    cameras = Cameras(poses.float()[None], intrinsics[None], (height, width))
-    return CameraTrajectory(cameras, torch.arange(len(poses)) / fps)
+    if not rigid or not bool((poses[:, 3] == torch.eye(4)[3]).all()):
+        raise UserError(f"{path}: camera_to_world of a frame is not a rotation and translation, by rows")
+    matrices = torch.eye(3).repeat(len(frames), 1, 1)
+    matrices[:, :2, 2] = torch.tensor([width / 2, height / 2])
+    for matrix, frame in zip(matrices, frames, strict=True):
+        matrix[0, 0] = matrix[1, 1] = height / 2 / math.tan(math.radians(frame.fov) / 2)
+    fps = content.fps or (len(frames) / content.seconds if content.seconds else FPS)
+    poses = (poses * torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)).float()
+    return CameraTrajectory(Cameras(poses[None], matrices[None], (height, width)), torch.arange(len(frames)) / fps)
 
 
 def keyframes_of(path: CameraTrajectory) -> dict[str, object]:

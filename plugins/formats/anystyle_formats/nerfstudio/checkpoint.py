@@ -22,7 +22,7 @@ from anystyle.types import Gaussians, StyledScene
 from anystyle_formats.nerfstudio.run_folder import frame_of
 
 STEP = 29_999
-"""Of a checkpoint that is written: splatfacto trains 30,000 steps, and shows all harmonics from 3,000 on."""
+"""The step of a checkpoint that is written: splatfacto trains 30,000, and shows all harmonics from 3,000 on."""
 PARAMETERS = {"means": 3, "scales": 3, "quats": 4, "features_dc": 3, "features_rest": 3, "opacities": 1}
 """Names, and the lengths of their last axis."""
 
@@ -46,10 +46,9 @@ class Ckpt(Format):
 
     def write(self, scene: StyledScene, path: Path) -> None:
         gaussians = scene.styles[-1][1]
+        content = {"step": STEP, "pipeline": state_of(gaussians), "optimizers": {}, "schedulers": {}, "scalers": {}}
         buffer = io.BytesIO()  # a file's own name would be in it
-        torch.save(
-            {"step": STEP, "pipeline": state_of(gaussians), "optimizers": {}, "schedulers": {}, "scalers": {}}, buffer
-        )
+        torch.save(content, buffer)
         with atomic_path(path) as temporary:
             temporary.write_bytes(buffer.getvalue())
 
@@ -66,9 +65,8 @@ class Ckpt(Format):
 
 def state_of(gaussians: Gaussians) -> dict[str, Tensor]:
     """A scene as splatfacto's parameters, of degree 1 at least: of degree 0 its colours are sigmoids."""
-    (means, quats, scales, opacities, harmonics) = (
-        getattr(gaussians, name)[0].detach().float().cpu()
-        for name in ("means", "rotations", "scales", "opacities", "harmonics")
+    means, quats, scales, opacities, harmonics = (
+        tensor[0].detach().float().cpu() for tensor in vars(gaussians).values()
     )
     rest = harmonics[:, 1:]
     parameters = {
@@ -80,8 +78,10 @@ def state_of(gaussians: Gaussians) -> dict[str, Tensor]:
         "opacities": opacities.clamp(1e-6, 1 - 1e-6).logit()[:, None],
     }
     # Copies: of a view its whole storage would be saved.
-    copies = {name: parameters[name].clone(memory_format=torch.contiguous_format) for name in PARAMETERS}
-    return {f"_model.gauss_params.{name}": copy for name, copy in copies.items()}
+    return {
+        f"_model.gauss_params.{name}": value.clone(memory_format=torch.contiguous_format)
+        for name, value in parameters.items()
+    }
 
 
 def gaussians_of(pipeline: Mapping[str, Any], remarks: Remarks, *, activated: bool = False) -> Gaussians:
@@ -92,10 +92,9 @@ def gaussians_of(pipeline: Mapping[str, Any], remarks: Remarks, *, activated: bo
     if missing := [name for name in PARAMETERS if name not in found]:
         raise UserError(f"{path} holds no Gaussians of splatfacto ({', '.join(missing)} missing); train splatfacto")
     count = len(found["means"])
-    axes = {name: 3 if name == "features_rest" else 2 for name in PARAMETERS}
     for name, last in PARAMETERS.items():
         shape = found[name].shape
-        if len(shape) != axes[name] or shape[0] != count or shape[-1] != last:
+        if len(shape) != (3 if name == "features_rest" else 2) or shape[0] != count or shape[-1] != last:
             raise UserError(f"{path}: {name} of shape {list(shape)} does not fit {count} Gaussians")
     if found["features_rest"].shape[1] not in (0, 3, 8, 15, 24):
         raise UserError(f"{path}: {found['features_rest'].shape[1] + 1} harmonics are of no degree up to 4")
@@ -112,17 +111,14 @@ def gaussians_of(pipeline: Mapping[str, Any], remarks: Remarks, *, activated: bo
 class _Number:
     """Stands for a number of NumPy beside the tensors; unpickling it has no effect."""
 
-    def __new__(cls, *_: object) -> "_Number":
-        return super().__new__(cls)
-
-    def _nothing(self, *_: object) -> None:
+    def __init__(self, *_: object) -> None:
         pass
 
-    __init__ = __setstate__ = _nothing
+    __setstate__ = __init__
 
 
 def _pipeline(path: Path) -> Mapping[str, Any]:
-    """The state of the pipeline; of the optimisers nothing is read."""
+    """The state of the pipeline; the optimisers are not read."""
     regular(path, most=None, what="checkpoint")
     require(path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
     try:
@@ -133,11 +129,11 @@ def _pipeline(path: Path) -> Mapping[str, Any]:
         allowed: list[Any] = [(_Number, name) for name in known]
         with torch.serialization.safe_globals(allowed):
             content = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
+    except UserError:
+        raise
     except (RuntimeError, OSError, EOFError, ValueError, TypeError, KeyError, pickle.UnpicklingError) as error:
-        if isinstance(error, UserError):
-            raise
-        raise UserError(f"{path} is truncated or no checkpoint of PyTorch ({one_line(error)[:120]})") from None
+        raise UserError(f"{path} is truncated or not a checkpoint of PyTorch ({one_line(error)[:120]})") from None
     pipeline = content.get("pipeline") if isinstance(content, Mapping) else None
     if not isinstance(pipeline, Mapping):
-        raise UserError(f"{path} is no checkpoint of nerfstudio; it has no `pipeline`")
+        raise UserError(f"{path} is not a checkpoint of nerfstudio; it has no `pipeline`")
     return pipeline

@@ -33,7 +33,7 @@ MAX_KEYFRAMES = 10_000
 
 
 def export_parser() -> argparse.ArgumentParser:
-    """The flags of ``anystyle nerfstudio export``; other words are Hydra's, such as ``renderer=cpu``."""
+    """The flags of ``anystyle nerfstudio export``; other arguments are Hydra's, such as ``renderer=cpu``."""
     flags = new_parser("nerfstudio export", "Write a scene as data and runs of nerfstudio.")
     flags.add_argument("scene", type=Path, help="a folder of anystyle stylize, or a file of Gaussians")
     flags.add_argument("--out", type=Path, required=True, help="the folder to write")
@@ -47,10 +47,8 @@ def export(words: Sequence[str]) -> None:
     arguments, overrides = split(export_parser(), words)
     config = compose("stylize", overrides)
     renderer, splat = build(Renderer, config.renderer), options(config, "splat")
-    saved, views = (
-        read_saved(arguments.scene, splat.up, activated=splat.activated),
-        ViewOptions(short_side=arguments.side),
-    )
+    saved = read_saved(arguments.scene, splat.up, activated=splat.activated)
+    views = ViewOptions(short_side=arguments.side)
     cameras, sources, origin = cameras_of(arguments.scene, saved, views, splat, 2, arguments.side)
     device, names = default_device(), tuple(source.name for source in sources)
     experiments = distinct([slug(title) for title, _ in saved.styles], "-")
@@ -91,7 +89,7 @@ def placed(flight: CameraTrajectory, run: Path | None) -> CameraTrajectory:
         poses = frame.data_from_model.poses(cameras.world_from_camera)
         cameras, up = replace(cameras, world_from_camera=poses), frame.up
     nothing = Gaussians(*(torch.zeros(1, 0, *shape) for shape in ((3,), (4,), (3,), (), (1, 3))))
-    return replace(flight, cameras=in_axes("opencv", StyledScene((("", nothing),), cameras, up=up)).cameras)
+    return flight._replace(cameras=in_axes("opencv", StyledScene((("", nothing),), cameras, up=up)).cameras)
 
 
 class Nerfstudio(Command):

@@ -1,19 +1,21 @@
-"""A scene as nerfstudio keeps one: a data folder, and the folder of a run whose model is the scene."""
+"""A scene as nerfstudio has one: a data folder, and the folder of a run whose model is the scene."""
 
+import json
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 import numpy as np
 import torch
 from plyfile import PlyData, PlyElement
 
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.atomic import write_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.export import export_styles, in_axes
 from anystyle.types import Cameras, Gaussians, Renders, StyledScene
 from anystyle_formats.nerfstudio.checkpoint import STEP
-from anystyle_formats.nerfstudio.config import config_text
 from anystyle_formats.nerfstudio.run_folder import CONFIG, TRANSFORMS
 
 MAX_POINTS = 100_000
@@ -35,52 +37,45 @@ def write_experiment(scene: StyledScene, folder: Path, final: Path, experiment: 
     Returns:
         The configuration's path below ``folder``.
     """
-    gaussians = scene.styles[-1][1]
-    images = [render(gaussians, scene.cameras.select([view])).color[0, 0] for view in range(len(scene.names))]
-    turned = in_axes("z", scene)
+    gaussians, turned = scene.styles[-1][1], in_axes("z", scene)
     data, run = folder / experiment / "data", folder / experiment / METHOD / RUN
     (data / "images").mkdir(parents=True)
-    for name, image in zip(scene.names, images, strict=True):
+    for view, name in enumerate(scene.names):
+        image = render(gaussians, scene.cameras.select([view])).color[0, 0]
         save_png(to_pil(image), data / "images" / f"{name}.png")
-    write_json(data / "transforms.json", transforms_of(turned.cameras, turned.names))
-    write_points(turned.styles[-1][1], data / "sparse_pc.ply")
+    write_json(data / "transforms.json", _transforms(turned.cameras, turned.names))
+    _write_points(turned.styles[-1][1], data / "sparse_pc.ply")
     (run / "nerfstudio_models").mkdir(parents=True)
     export_styles(turned, run / "nerfstudio_models" / f"step-{STEP:09d}.ckpt", "ckpt")
     write_json(run / TRANSFORMS, {"transform": torch.eye(4)[:3].tolist(), "scale": 1.0})
+    # YAML that names nerfstudio's classes: what a class has as a plain default is left out, what it makes anew for
+    # each instance has to be there. JSON's strings are YAML's.
+    template = Template((files(__package__) / "config.yml.in").read_text(encoding="utf-8"))
+    values = {"experiment": experiment, "run": RUN, "output": str(final), "data": str(final / experiment / "data")}
     degree = max(1, round(gaussians.harmonics.shape[2] ** 0.5) - 1)
-    text = config_text(final, final / experiment / "data", experiment=experiment, run=RUN, degree=degree)
+    text = template.substitute({name: json.dumps(value) for name, value in values.items()}, degree=degree)
     (run / CONFIG).write_text(text, encoding="utf-8")
     return (run / CONFIG).relative_to(folder)
 
 
-def transforms_of(cameras: Cameras, names: tuple[str, ...]) -> dict[str, object]:
+def _transforms(cameras: Cameras, names: tuple[str, ...]) -> dict[str, object]:
     """Cameras as ``transforms.json``: poses with OpenGL's axes (x right, y up, z back), intrinsics in pixels."""
     poses = cameras.world_from_camera[0].double().cpu() * torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
+    rows = zip(names, poses.tolist(), cameras.intrinsics[0].double().tolist(), strict=True)
     frames = [
-        {
-            "file_path": f"images/{name}.png",
-            "fl_x": float(lens[0, 0]),
-            "fl_y": float(lens[1, 1]),
-            "cx": float(lens[0, 2]),
-            "cy": float(lens[1, 2]),
-            "transform_matrix": pose.tolist(),
-        }
-        for name, lens, pose in zip(names, cameras.intrinsics[0].double().cpu(), poses, strict=True)
+        {"file_path": f"images/{name}.png", "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "transform_matrix": pose}
+        for name, pose, ((fx, _, cx), (_, fy, cy), _) in rows
     ]
     height, width = cameras.size
-    sides = {"camera_model": "PINHOLE", "w": width, "h": height}
-    return {**sides, "ply_file_path": "sparse_pc.ply", "frames": frames}
+    return {"camera_model": "PINHOLE", "w": width, "h": height, "ply_file_path": "sparse_pc.ply", "frames": frames}
 
 
-def write_points(gaussians: Gaussians, path: Path) -> None:
+def _write_points(gaussians: Gaussians, path: Path) -> None:
     """Write the centres of the most opaque Gaussians with their colours, as a PLY file of points."""
     opacities = gaussians.opacities[0].cpu()
     index = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
-    rgb = (rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[index]).clamp(0, 1) * 255).round().byte()
+    rgb = (rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[index]).clamp(0, 1) * 255).round()
+    values = torch.cat([gaussians.means[0].cpu()[index], rgb], 1).detach().double().numpy()
     kinds = [*((axis, "<f4") for axis in "xyz"), *((color, "u1") for color in ("red", "green", "blue"))]
-    rows = np.empty(len(index), kinds)
-    for column, name in enumerate(rows.dtype.names or ()):
-        values = gaussians.means[0].cpu()[index] if column < 3 else rgb
-        rows[name] = values[:, column % 3].detach().numpy()
-    with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(rows, "vertex")]).write(str(temporary))
+    rows = np.array([tuple(row) for row in values], kinds)
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(path))

@@ -7,9 +7,8 @@ OpenGL's there; a model's z axis is up.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,6 +25,7 @@ from anystyle.io.splats import Offset, Remarks, offset_of
 from anystyle.pipeline.saved import cameras_beside
 from anystyle.ranges import Positive
 from anystyle.types import Cameras
+from anystyle_formats.reading import cameras_of_one_size
 
 TRANSFORMS, CONFIG = "dataparser_transforms.json", "config.yml"
 _Row = tuple[float, float, float, float]
@@ -44,15 +44,14 @@ class _Applied(msgspec.Struct):
     applied_scale: Positive = 1.0
 
 
-@dataclass(frozen=True)
-class RunFrame:
+class RunFrame(NamedTuple):
     """Where a run's scene is.
 
     Args:
         data_from_model: From the model's coordinates to those of the cameras, or to the original ones.
         offset: What was taken off these coordinates, where they are far away.
         up: Axes of these coordinates, of those that files can have the ones nearest to the model's.
-        cameras: Of the photographs, a batch of one; none where they are not found.
+        cameras: Of the photographs, a batch of one; empty where they are not found.
         names: Of the cameras.
     """
 
@@ -66,8 +65,7 @@ class RunFrame:
 def frame_of(checkpoint: Path) -> RunFrame | None:
     """The frame of a checkpoint by the files around it; ``None`` where there is no ``dataparser_transforms.json``."""
     folders = (checkpoint.parent, checkpoint.absolute().parent.parent)
-    folder = next((folder for folder in folders if (folder / TRANSFORMS).is_file()), None)
-    return None if folder is None else read_run(folder)
+    return next((read_run(folder) for folder in folders if (folder / TRANSFORMS).is_file()), None)
 
 
 def read_run(folder: Path) -> RunFrame:
@@ -82,45 +80,25 @@ def read_run(folder: Path) -> RunFrame:
         if rows is not None:
             model = model @ np.linalg.inv(_square(rows[:3]))
         scale /= applied.applied_scale
-    data_from_model, origin = _similarity(model, scale, path).inverse(), -model[:3, :3].T @ model[:3, 3]
-    remarks = Remarks(folder)
+    rotation = model[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise UserError(f"{path} does not hold a rotation and translation; get the folder of the run again")
+    origin, remarks = -rotation.T @ model[:3, 3], Remarks(folder)
     offset = offset_of(origin[None], remarks)
     remarks.tell()
-    if any(offset):
-        data_from_model = data_from_model._replace(translation=torch.from_numpy(origin - offset).float())
-    cameras, names = _cameras(data, offset)
-    return RunFrame(data_from_model, offset, _nearest_up(model[2, :3]), cameras, names)
+    parts = (torch.tensor(part, dtype=torch.float32) for part in (1 / scale, rotation.T, origin - offset))
+    up = max(_UP, key=lambda name: float(np.dot(_UP[name], model[2, :3])))
+    stored_views = {} if data is None else cameras_beside(data, offset)
+    names = short_names([PurePosixPath(name) for name in stored_views])
+    views = [
+        (camera.size, name, camera.world_from_camera, camera.intrinsics)
+        for name, camera in zip(names, stored_views.values(), strict=True)
+    ]
+    return RunFrame(Similarity(*parts), offset, up, *cameras_of_one_size(views))
 
 
 def _square(rows: Sequence[_Row]) -> NDArray[np.float64]:
     return np.array([*rows, (0.0, 0.0, 0.0, 1.0)], np.float64)
-
-
-def _similarity(transform: NDArray[np.float64], scale: float, path: Path) -> Similarity:
-    rotation = transform[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-        raise UserError(f"{path} holds no rotation and translation; get the folder of the run again")
-    tensors = (torch.tensor(part, dtype=torch.float32) for part in (scale, rotation, scale * transform[:3, 3]))
-    return Similarity(*tensors)
-
-
-def _nearest_up(direction: NDArray[np.float64]) -> str:
-    return max(_UP, key=lambda name: float(np.dot(_UP[name], direction)))
-
-
-def _cameras(data: Path | None, offset: Offset) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of a data folder without an offset, those of one size as the first."""
-    stored = {} if data is None else cameras_beside(data, offset)
-    sizes = [camera.size for camera in stored.values()]
-    alike = {name: camera for name, camera in stored.items() if camera.size == sizes[0]}
-    if not alike:
-        return Cameras(torch.zeros(1, 0, 4, 4), torch.zeros(1, 0, 3, 3), (1, 1)), ()
-    poses, intrinsics = (
-        torch.from_numpy(np.stack([getattr(camera, name) for camera in alike.values()])).float()[None]
-        for name in ("world_from_camera", "intrinsics")
-    )
-    names = short_names([PurePosixPath(name) for name in alike])
-    return Cameras(poses, intrinsics, sizes[0]), tuple(names)
 
 
 def _data_folder(folder: Path) -> Path | None:
@@ -163,6 +141,7 @@ def _named_data(config: Path) -> list[Path]:
         manager = content["pipeline"]["datamanager"]
         values = [content.get("data"), manager.get("data"), manager.get("dataparser", {}).get("data")]
     except (yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise UserError(f"{config} is no configuration of a run of nerfstudio ({one_line(error)[:120]})") from None
+        reason = one_line(error)[:120]
+        raise UserError(f"{config} is not a configuration of a run of nerfstudio ({reason})") from None
     parts = [value if isinstance(value, list) else [value] for value in values if value]
     return [Path(*(str(part) for part in value)) for value in parts]

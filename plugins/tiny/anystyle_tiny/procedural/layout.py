@@ -16,6 +16,7 @@ from anystyle_tiny.procedural.volumes import sine
 Float64Array = NDArray[np.float64]
 ImageSide = Annotated[int, Range(ge=8, le=4096)]
 T = TypeVar("T")
+SPLITS = ("train", "validation", "heldout")
 
 # Natural colours in sRGB; a scene mixes some of them with vivid ones.
 NATURAL = (
@@ -96,47 +97,31 @@ class Builder:
         self.materials: list[Float64Array] = []
 
     def material(self, kinds: tuple[int, ...], period: tuple[float, float], vividness: float | None = None) -> int:
-        """Add a material of one of ``kinds`` and return its index."""
-        draw, row = self.draw, np.zeros(tx.MATERIAL_COLUMNS)
-        vividness = self.vividness if vividness is None else vividness
-        row[tx.KIND] = kinds[draw.below(len(kinds))]
-        row[tx.PERIOD] = draw.between(*period)
+        """Add a material of one of ``kinds``, its columns in the order of ``textures``, and return its index."""
+        draw, vividness = self.draw, self.vividness if vividness is None else vividness
+        kind, scale = kinds[draw.below(len(kinds))], draw.between(*period)
         base = draw.color(vividness)
-        row[tx.COLOR_A : tx.COLOR_A + 3] = base
         # Half of the second colours are shades of the first: most surfaces have one hue.
-        row[tx.COLOR_B : tx.COLOR_B + 3] = (
-            np.clip(base * draw.between(0.35, 0.8), 0.01, 0.9) if draw.chance(0.45) else draw.color(vividness)
-        )
-        row[tx.COLOR_C : tx.COLOR_C + 3] = draw.color(0.3 * vividness)
-        row[tx.OFFSET : tx.OFFSET + 3] = [draw.between(0.0, 4.0), draw.between(0.0, 4.0), draw.between(0.0, 4.0)]
-        row[tx.COSINE], row[tx.SINE] = draw.turn() if draw.chance(0.3) else (1.0, 0.0)
-        row[tx.ROUGH] = draw.between(0.1, 0.35) if draw.chance(0.75) else draw.between(0.0, 0.1)
-        row[tx.GLOSS] = draw.between(0.1, 0.5) if draw.chance(0.25) else 0.0
-        self.materials.append(row)
+        shaded = draw.chance(0.45)
+        other = np.clip(base * draw.between(0.35, 0.8), 0.01, 0.9) if shaded else draw.color(vividness)
+        third = draw.color(0.3 * vividness)
+        offset = [draw.between(0.0, 4.0) for _ in range(3)]
+        turn = draw.turn() if draw.chance(0.3) else (1.0, 0.0)
+        rough = draw.between(0.1, 0.35) if draw.chance(0.75) else draw.between(0.0, 0.1)
+        gloss = draw.between(0.1, 0.5) if draw.chance(0.25) else 0.0
+        self.materials.append(np.array([kind, scale, *base, *other, *third, *offset, *turn, rough, gloss], np.float64))
         return len(self.materials) - 1
 
     def solid(
-        self,
-        shape: int,
-        centre: tuple[float, float, float],
-        half: tuple[float, float, float],
-        material: int,
-        turn: tuple[float, float] = (1.0, 0.0),
+        self, shape: int, centre: sd.Vector, half: sd.Vector, material: int, turn: tuple[float, float] = (1.0, 0.0)
     ) -> None:
-        """Add a solid."""
-        row = np.zeros(sd.SOLID_COLUMNS)
-        row[sd.SHAPE] = shape
-        row[sd.CENTRE : sd.CENTRE + 3] = centre
-        row[sd.HALF : sd.HALF + 3] = half
-        row[sd.INVERSE : sd.INVERSE + 3] = [1.0 / side for side in half]
-        row[sd.COS], row[sd.SIN] = turn
+        """Add a solid, its columns in the order of :mod:`anystyle_tiny.procedural.solids`."""
         x, y, z = half
-        row[sd.BOUND] = {sd.SPHERE: max(half), sd.BOX: np.sqrt(x * x + y * y + z * z)}.get(
-            shape, np.sqrt(max(x, z) ** 2 + y * y)
-        ) * 1.0001
-        row[sd.BULK] = 0.75 * min(sorted(half)[1], 1.5 * min(half))
-        row[sd.PAINT] = material
-        self.solids.append(row)
+        bounds = {sd.SPHERE: max(half), sd.BOX: np.sqrt(x * x + y * y + z * z)}
+        bound = bounds.get(shape, np.sqrt(max(x, z) ** 2 + y * y)) * 1.0001
+        bulk = 0.75 * min(sorted(half)[1], 1.5 * min(half))
+        inverse = (1.0 / side for side in half)
+        self.solids.append(np.array([shape, *centre, *half, *inverse, *turn, bound, bulk, material], np.float64))
 
     def thing(self, x: float, y: float, z: float, size: float) -> float:
         """Stand a simple object of about ``size`` on the height ``y``; return the height of a flat top or -1."""
@@ -206,8 +191,7 @@ def _plant(build: Builder, x: float, z: float, size: float) -> None:
         build.materials[green][start : start + 3] = scale * np.array([draw.between(0.1, 0.35), 0.36, 0.08])
     build.solid(sd.CYLINDER, (x, 0.35 * size, z), (0.4 * size, 0.35 * size, 0.4 * size), pot)
     for _ in range(1 + draw.below(3)):
-        r = size * draw.between(0.45, 0.7)
-        shift = 0.3 * size
+        r, shift = size * draw.between(0.45, 0.7), 0.3 * size
         position = (x + draw.between(-shift, shift), size * draw.between(1.0, 1.5), z + draw.between(-shift, shift))
         build.solid(sd.SPHERE, position, (r, r * draw.between(0.8, 1.3), r), green, draw.turn())
 
@@ -273,9 +257,9 @@ INDOORS: Makers = (_stack, _stack, _table, _chair, _lamp, _plant)
 OUTDOORS: Makers = (_stack, _tree, _house, _boulder, _pillar, _table)
 
 
-def _spread(build: Builder, makers: Makers, reach: float, eyes: Float64Array, *, room: bool) -> None:
-    """Stand groups of solids on the floor within ``reach`` of the middle, none inside another or before a camera."""
-    draw = build.draw
+def _spread(build: Builder, eyes: Float64Array, *, room: bool) -> None:
+    """Stand groups of solids on the floor around the middle, none inside another or before a camera."""
+    draw, (makers, reach) = build.draw, (INDOORS, 2.3) if room else (OUTDOORS, 3.1)
     taken: list[tuple[float, float, float]] = [(float(x), float(z), CLEARANCE) for x, _, z in eyes]
     for _ in range(5 + draw.below(4)):
         size = draw.between(0.34, 0.72) * (1.0 if room else 1.25)
@@ -293,8 +277,7 @@ def _spread(build: Builder, makers: Makers, reach: float, eyes: Float64Array, *,
 def _light(draw: Draw, settings: Float64Array, *, room: bool, height: float) -> None:
     strength, warm = draw.between(0.7, 1.3), draw.between(-0.12, 0.16)
     settings[rc.SUN : rc.SUN + 3] = strength * np.array([1.0 + warm, 1.0, 1.0 - 1.4 * warm])
-    dim = draw.between(0.3, 0.75)
-    cool = -0.5 * warm
+    dim, cool = draw.between(0.3, 0.75), -0.5 * warm
     settings[rc.ABOVE : rc.ABOVE + 3] = dim * np.array([1.0 + cool, 1.0, 1.0 - cool])
     settings[rc.BELOW : rc.BELOW + 3] = dim * draw.between(0.4, 0.75) * np.array([1.05, 1.0, 0.9])
     if room and draw.chance(0.6):
@@ -302,8 +285,7 @@ def _light(draw: Draw, settings: Float64Array, *, room: bool, height: float) -> 
         settings[rc.NEARBY] = draw.between(0.7, 1.1) * height
         settings[rc.SPREAD] = draw.between(0.05, 0.6)
         return
-    c, s = draw.turn()
-    slant = draw.between(0.35, 1.3)
+    (c, s), slant = draw.turn(), draw.between(0.35, 1.3)
     settings[rc.LIGHT : rc.LIGHT + 3] = [slant * c, 1.0, slant * s]
     settings[rc.SPREAD] = draw.between(0.0, 0.16)
 
@@ -312,9 +294,8 @@ def lay_out(draw: Draw, eyes: Float64Array) -> World:
     """Compose one scene around the origin, its floor at y = 0, for cameras at ``eyes`` (views x 3, metres, y up)."""
     room = draw.chance(0.55)
     build = Builder(draw, vividness=draw.between(0.1, 0.75))
-    settings = np.zeros(rc.SETTING_COLUMNS)
+    settings, height = np.zeros(rc.SETTING_COLUMNS), draw.between(2.6, 4.2)
     settings[rc.ROOM] = float(room)
-    height = draw.between(2.6, 4.2)
     if room:
         build.material((tx.PLANKS, tx.TILES, tx.CHECKER, tx.NOISE, tx.WOOD, tx.STRIPES, tx.MARBLE), (0.25, 0.9), 0.3)
         walls = (tx.PLAIN, tx.PLAIN, tx.BRICKS, tx.STRIPES, tx.NOISE, tx.TILES, tx.DOTS, tx.LEAVES)
@@ -324,10 +305,10 @@ def lay_out(draw: Draw, eyes: Float64Array) -> World:
     else:
         build.material((tx.NOISE, tx.NOISE, tx.LEAVES, tx.CELLS, tx.PLANKS, tx.TILES, tx.BRICKS), (0.5, 1.8), 0.15)
         build.materials[0][tx.GLOSS] = 0.0
-        build.material((tx.PLAIN,), (1.0, 2.0))
-        build.material((tx.PLAIN,), (1.0, 2.0))
+        for _ in range(2):
+            build.material((tx.PLAIN,), (1.0, 2.0))
         settings[rc.EXTENT] = draw.between(8.0, 12.0)
-    _spread(build, INDOORS if room else OUTDOORS, 2.3 if room else 3.1, eyes, room=room)
+    _spread(build, eyes, room=room)
     if room and draw.chance(0.6):
         rug = build.material((tx.STRIPES, tx.DOTS, tx.CHECKER, tx.LEAVES, tx.CELLS), (0.2, 0.7))
         place = draw.between(-0.8, 0.8), 0.01, draw.between(-0.8, 0.8)

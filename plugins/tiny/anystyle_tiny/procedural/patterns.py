@@ -24,6 +24,11 @@ Blend = tuple[int, int, float, float]
 
 
 @compiled
+def _fraction(x: float) -> float:
+    return x - np.floor(x)
+
+
+@compiled
 def _cell(x: float, y: float) -> tuple[int, int, float, float]:
     """The cell of the unit grid that holds a point, and the point relative to the cell's middle."""
     i, j = np.floor(x), np.floor(y)
@@ -44,9 +49,7 @@ def _pick(i: int, j: int, salt: int, count: int) -> int:
 @compiled
 def _bands(phase: float, foot: float, count: int) -> Blend:
     """Bands of equal width in the order of the palette; at least two."""
-    band = np.floor(phase)
-    f = phase - band
-    k = int(band) % count
+    k, f = int(np.floor(phase)) % count, _fraction(phase)
     # The edge at the upper end belongs to this band and the next one half each.
     return k, (k + 1) % count, 0.5 * cover(f - 1 + 0.5 * foot, foot), 1.0
 
@@ -91,14 +94,11 @@ def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
 def _hatching(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     tone = noise_at(noise, x * 0.09 + salt, y * 0.09, 0.37) + 0.15
     wobble = 0.35 * noise_at(noise, x * 0.2, y * 0.2, 1.7 + salt)
-    f = y + wobble
-    f = f - np.floor(f)
-    line = cover(0.17 + 0.06 * tone - abs(f - 0.5), foot)
+    line = cover(0.17 + 0.06 * tone - abs(_fraction(y + wobble) - 0.5), foot)
     k = 1 + _pick(int(np.floor(y + wobble)), 0, salt, count - 1)
     if tone > -0.05:
-        g = x * 0.95 + 0.3 * y + wobble
-        g = g - np.floor(g)
-        line = max(line, cover(0.16 - abs(g - 0.5), foot) * min(max((tone + 0.05) * 8, 0.0), 1.0))
+        across = cover(0.16 - abs(_fraction(x * 0.95 + 0.3 * y + wobble) - 0.5), foot)
+        line = max(line, across * min(max((tone + 0.05) * 8, 0.0), 1.0))
     return 0, k, line, 1.0
 
 
@@ -120,8 +120,8 @@ def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.n
             turn = 1.6 * noise_at(noise, cx * 0.11 + salt, cy * 0.11, 0.5) + 0.12 * chance(i, j, s + 3)
             c, d = sine(6.2831853 * turn + 1.5707963), sine(6.2831853 * turn)
             u, v = c * (x - cx) + d * (y - cy), c * (y - cy) - d * (x - cx)
-            long_, wide = 0.95, 0.24 + 0.12 * chance(i, j, s + 4)
-            inside = 1.0 - (u * u) / (long_ * long_) - (v * v) / (wide * wide)
+            wide = 0.24 + 0.12 * chance(i, j, s + 4)
+            inside = 1.0 - (u * u) / (0.95 * 0.95) - (v * v) / (wide * wide)
             if inside > 0:
                 best, color = rank, _pick(i, j, s + 5, count)
                 bristle = noise_at(noise, u * 0.25 + i, v * 3.0 + j, 0.9)
@@ -146,9 +146,7 @@ def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.nd
     r = np.sqrt(best)
     spin = 1.0 if chance(ci, cj, salt + 2) < 0.5 else -1.0
     phase = r * 5.0 + spin * turns(ry, rx) * 2.0 * ((count + 1) // 2)
-    band = np.floor(phase)
-    k = int(band + 64 * count) % count
-    f = phase - band
+    k, f = int(np.floor(phase) + 64 * count) % count, _fraction(phase)
     shade = 0.8 + 0.28 * (1.0 - abs(2.0 * f - 1.0)) + 0.25 * noise_at(noise, phase * 0.9, r * 2.0, 0.3 * ci)
     return k, k, 0.0, shade
 
@@ -196,14 +194,9 @@ def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
             turn = 6.2831853 * chance(i, j, s + 3)
             c, d = sine(turn + 1.5707963), sine(turn)
             u, v = c * dx + d * dy, c * dy - d * dx
-            kind = _pick(i, j, s + 4, 3)
-            if kind == 0:
-                inside = max(max(u * 0.866 + v * 0.5, -u * 0.866 + v * 0.5), -v) < 0.3
-            elif kind == 1:
-                inside = abs(u) < 0.75 and abs(v) < 0.22
-            else:
-                inside = u * u + v * v < 0.2
-            if inside:
+            triangle = max(max(u * 0.866 + v * 0.5, -u * 0.866 + v * 0.5), -v) < 0.3
+            bar = abs(u) < 0.75 and abs(v) < 0.22
+            if (triangle, bar, u * u + v * v < 0.2)[_pick(i, j, s + 4, 3)]:
                 best, color = rank, _pick(i, j, s + 5, count)
                 shade = 0.8 + 0.35 * chance(i, j, s + 6)
     return color, color, 0.0, shade
@@ -244,8 +237,7 @@ def _wash(x: float, y: float, count: int, salt: int, noise: np.ndarray) -> Blend
     """Colours that run into each other."""
     t = 0.55 * y + 0.9 * rough(noise, x * 0.35 + 0.1 * salt, y * 0.35, 0.2, 1.0) + 0.5
     t = min(max(t * 0.75, 0.0), 0.9999) * (count - 1)
-    k = int(t)
-    f = t - k
+    k, f = int(t), t - int(t)
     return k, k + 1, f * f * (3 - 2 * f), 1.0
 
 
@@ -262,10 +254,8 @@ def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int
     if kind == MOSAIC:
         return _mosaic(x, y, foot, count, salt)
     if kind == CHECKER:
-        i, j = int(np.floor(x)), int(np.floor(y))
-        k = (i + j) % 2
-        if k == 1 and count > 2:
-            k = 1 + _pick(i, j, salt, count - 1)
+        i, j, _, _ = _cell(x, y)
+        k = 1 + _pick(i, j, salt, count - 1) if (i + j) % 2 else 0
         return k, k, 0.0, 1.0
     if kind == BRICKS:
         return _bricks(x, y, foot, count, salt)
@@ -278,8 +268,7 @@ def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int
     if kind == WAVES:
         return _bands(2.0 * y + 0.9 * sine(x * 2.9), 2.4 * foot, count)
     if kind == ZIGZAG:
-        f = x * 0.9 - np.floor(x * 0.9)
-        return _bands(2.0 * y + 1.6 * abs(f - 0.5), 2.6 * foot, count)
+        return _bands(2.0 * y + 1.6 * abs(_fraction(x * 0.9) - 0.5), 2.6 * foot, count)
     if kind == SPLATTER:
         return _splatter(x, y, foot, count, salt, noise)
     if kind == WASH:
@@ -300,7 +289,7 @@ def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int
         c, d, n, _ = _bands(y * 2.0, 2.0 * foot, count)
         # Threads of the two directions lie over each other in turn.
         over = int(np.floor(x * 24.0) + np.floor(y * 24.0)) & 1
-        thin = cover(0.06 - abs(x - np.floor(x) - 0.25), foot) + cover(0.06 - abs(y - np.floor(y) - 0.25), foot)
+        thin = cover(0.06 - abs(_fraction(x) - 0.25), foot) + cover(0.06 - abs(_fraction(y) - 0.25), foot)
         shade = 1.0 - 0.35 * min(thin, 1.0)
         return (a, b, m, shade) if over else (c, d, n, shade)
     if kind == POINTS:
@@ -345,36 +334,32 @@ def paint(
     bytes_: np.ndarray,
     image: np.ndarray,
 ) -> None:
-    """Fill ``image`` (H W 3, sRGB in [0, 1]) with a pattern in a palette, painted in one of BRUSHWORK."""
-    height, width = image.shape[0], image.shape[1]
-    count = len(palette)
+    """Fill ``image`` (H W 3, sRGB, not clipped) with a pattern in a palette, painted in one of BRUSHWORK."""
+    (height, width), count = image.shape[:2], len(palette)
     foot = 0.7 * frequency / height
     hand = 0.0 if brush == PRINT else 0.11
-    for row in range(height):
-        for column in range(width):
-            red, green, blue, taken, contrast = 0.0, 0.0, 0.0, 0, 0.0
-            for sample in range(4):
-                # One diagonal of the pixel first; where it is calm, the other one is not needed.
-                if sample == 2 and contrast < 0.06:
-                    break
-                i, j = sample & 1, (sample & 1) ^ (sample >> 1)
-                # Place on the sheet, the height being 4 lattice units of noise.
-                u, v = 4.0 * (column + 0.25 + 0.5 * j) / height, 4.0 * (row + 0.25 + 0.5 * i) / height
-                px, py = (u - 2.0) * frequency * 0.25, (v - 2.0) * frequency * 0.25
-                px, py = turn[0] * px - turn[1] * py + offset[0], turn[1] * px + turn[0] * py + offset[1]
-                u, v = u + 0.37 * salt, v + 0.61 * salt
-                if hand > 0:
-                    px += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 0.2)
-                    py += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 2.2)
-                a, b, m, shade = pattern_at(kind, px, py, foot, count, salt, bytes_)
-                dark, pale = _brushed(brush, u, v, bytes_)
-                shade *= dark * (1 - pale)
-                r = (palette[a, 0] * (1 - m) + palette[b, 0] * m) * shade + 0.97 * pale
-                g = (palette[a, 1] * (1 - m) + palette[b, 1] * m) * shade + 0.96 * pale
-                c = (palette[a, 2] * (1 - m) + palette[b, 2] * m) * shade + 0.93 * pale
-                if sample == 1:
-                    contrast = abs(r - red) + abs(g - green) + abs(c - blue)
-                red, green, blue, taken = red + r, green + g, blue + c, taken + 1
-            image[row, column, 0] = min(max(red / taken, 0.0), 1.0)
-            image[row, column, 1] = min(max(green / taken, 0.0), 1.0)
-            image[row, column, 2] = min(max(blue / taken, 0.0), 1.0)
+    for row, column in np.ndindex(height, width):
+        red, green, blue, taken, contrast = 0.0, 0.0, 0.0, 0, 0.0
+        for sample in range(4):
+            # One diagonal of the pixel first; where it is calm, the other one is not needed.
+            if sample == 2 and contrast < 0.06:
+                break
+            i, j = sample & 1, (sample & 1) ^ (sample >> 1)
+            # Place on the sheet, the height being 4 lattice units of noise.
+            u, v = 4.0 * (column + 0.25 + 0.5 * j) / height, 4.0 * (row + 0.25 + 0.5 * i) / height
+            px, py = (u - 2.0) * frequency * 0.25, (v - 2.0) * frequency * 0.25
+            px, py = turn[0] * px - turn[1] * py + offset[0], turn[1] * px + turn[0] * py + offset[1]
+            u, v = u + 0.37 * salt, v + 0.61 * salt
+            if hand > 0:
+                px += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 0.2)
+                py += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 2.2)
+            a, b, m, shade = pattern_at(kind, px, py, foot, count, salt, bytes_)
+            dark, pale = _brushed(brush, u, v, bytes_)
+            shade *= dark * (1 - pale)
+            r = (palette[a, 0] * (1 - m) + palette[b, 0] * m) * shade + 0.97 * pale
+            g = (palette[a, 1] * (1 - m) + palette[b, 1] * m) * shade + 0.96 * pale
+            c = (palette[a, 2] * (1 - m) + palette[b, 2] * m) * shade + 0.93 * pale
+            if sample == 1:
+                contrast = abs(r - red) + abs(g - green) + abs(c - blue)
+            red, green, blue, taken = red + r, green + g, blue + c, taken + 1
+        image[row, column] = (red / taken, green / taken, blue / taken)

@@ -3,22 +3,8 @@
 import numpy as np
 
 from anystyle.compiled import compiled
-from anystyle_tiny.procedural.solids import (
-    BOUND,
-    CEILING,
-    CENTRE,
-    FLOOR,
-    PAINT,
-    SOLIDS,
-    WALL,
-    Vector,
-    dot,
-    hit_solid,
-    openness,
-    scaled,
-    shadowed,
-    surface,
-)  # fmt: skip
+from anystyle_tiny.procedural import solids as sd
+from anystyle_tiny.procedural.solids import Pair, Vector, dot, scaled
 from anystyle_tiny.procedural.textures import GLOSS, albedo
 from anystyle_tiny.procedural.volumes import rough
 
@@ -29,39 +15,36 @@ ROOM, EXTENT, LIGHT, NEARBY, SPREAD, SUN, ABOVE = 0, 1, 4, 7, 8, 9, 12
 BELOW, HORIZON, ZENITH, CLOUDS, HILLS, HILL_HEIGHT = 15, 18, 21, 24, 25, 28
 SETTING_COLUMNS = 29
 
+Tables = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Settings, solids, materials and the bytes of the volumes."""
+
 
 @compiled
 def hit_surroundings(g: np.ndarray, origin: Vector, ray: Vector) -> tuple[float, int]:
     """The floor, walls and ceiling of a room, or the ground and the dome of the sky."""
     (ox, oy, oz), (dx, dy, dz) = origin, ray
-    best, label = np.inf, WALL
+    best, label = np.inf, sd.WALL
     if dy < -1e-9:
-        best, label = -oy / dy, FLOOR
+        best, label = -oy / dy, sd.FLOOR
     if g[ROOM] > 0:
         if dy > 1e-9:
-            best, label = (g[EXTENT + 1] - oy) / dy, CEILING
+            best, label = (g[EXTENT + 1] - oy) / dy, sd.CEILING
         for extent, o, d in ((g[EXTENT], ox, dx), (g[EXTENT + 2], oz, dz)):
             if abs(d) > 1e-9:
                 t = ((extent if d > 0 else -extent) - o) / d
                 if t < best:
-                    best, label = t, WALL
+                    best, label = t, sd.WALL
         return best, label
     a, b = dot(ray, ray), dot(origin, ray)
     c = dot(origin, origin) - g[EXTENT] * g[EXTENT]
     t = (-b + np.sqrt(max(b * b - a * c, 0.0))) / a
-    if t < best:
-        best, label = t, WALL
-    return best, label
+    return (t, sd.WALL) if t < best else (best, label)
 
 
 @compiled
 def _mix(g: np.ndarray, first: int, a: float, second: int, b: float) -> Vector:
     """A weighted sum of two colours of the settings."""
-    return (
-        g[first] * a + g[second] * b,
-        g[first + 1] * a + g[second + 1] * b,
-        g[first + 2] * a + g[second + 2] * b,
-    )
+    return g[first] * a + g[second] * b, g[first + 1] * a + g[second + 1] * b, g[first + 2] * a + g[second + 2] * b
 
 
 @compiled
@@ -96,29 +79,22 @@ def _corners(g: np.ndarray, point: Vector, normal: Vector) -> float:
 
 @compiled
 def _direct(
-    g: np.ndarray,
-    solids: np.ndarray,
-    point: Vector,
-    normal: Vector,
-    view: Vector,
-    jitter: tuple[float, float],
-    gloss: float,
-) -> tuple[float, float]:
+    g: np.ndarray, solids: np.ndarray, point: Vector, normal: Vector, view: Vector, jitter: Pair, gloss: float
+) -> Pair:
     """Light of the lamp or sun at a point, and what is mirrored of it toward the camera."""
     (x, y, z), (nx, ny, nz) = point, normal
     # The light is a disk in the horizontal plane; each sub-pixel sees one fixed point of it, so that penumbras are
     # the same from everywhere.
     lx, ly, lz = g[LIGHT] + g[SPREAD] * jitter[0], g[LIGHT + 1], g[LIGHT + 2] + g[SPREAD] * jitter[1]
-    distance, fall = 1e9, 1.0
     if g[NEARBY] > 0:
         lx, ly, lz = lx - x, ly - y, lz - z
-    squared = dot((lx, ly, lz), (lx, ly, lz))
+    squared, distance, fall = dot((lx, ly, lz), (lx, ly, lz)), 1e9, 1.0
     light = scaled((lx, ly, lz), np.sqrt(squared))
     if g[NEARBY] > 0:
         distance = np.sqrt(squared)
         fall = 2.0 * g[NEARBY] * g[NEARBY] / (g[NEARBY] * g[NEARBY] + squared)
     facing = dot(normal, light)
-    if facing <= 0 or shadowed(solids, (x + 1e-4 * nx, y + 1e-4 * ny, z + 1e-4 * nz), light, distance):
+    if facing <= 0 or sd.shadowed(solids, (x + 1e-4 * nx, y + 1e-4 * ny, z + 1e-4 * nz), light, distance):
         return 0.0, 0.0
     mirror = 0.0
     if gloss > 0:
@@ -132,36 +108,27 @@ def _direct(
 
 @compiled
 def shade(
-    g: np.ndarray,
-    solids: np.ndarray,
-    materials: np.ndarray,
-    bytes_: np.ndarray,
-    label: int,
-    point: Vector,
-    ray: Vector,
-    footprint: float,
-    jitter: tuple[float, float],
-    known: float,
+    tables: Tables, label: int, point: Vector, ray: Vector, footprint: float, jitter: Pair, known: float
 ) -> tuple[float, float, float, float]:
     """Linear light that leaves a point toward the camera, and how open the point is to ambient light."""
-    x, y, z = point
-    if label == WALL and g[ROOM] == 0:
+    (g, solids, materials, bytes_), (x, y, z) = tables, point
+    if label == sd.WALL and g[ROOM] == 0:
         r, gr, b = _sky(g, point, bytes_)
         return r, gr, b, 1.0
     local, m = point, label
-    if label >= SOLIDS:
-        normal, local, u, v = surface(solids, label - SOLIDS, point)
-        m = int(solids[label - SOLIDS, PAINT])
-    elif label == FLOOR:
+    if label >= sd.SOLIDS:
+        normal, local, u, v = sd.surface(solids, label - sd.SOLIDS, point)
+        m = int(solids[label - sd.SOLIDS, sd.PAINT])
+    elif label == sd.FLOOR:
         normal, u, v = (0.0, 1.0, 0.0), x, z
-    elif label == CEILING:
+    elif label == sd.CEILING:
         normal, u, v = (0.0, -1.0, 0.0), x, z
     elif g[EXTENT] - abs(x) < g[EXTENT + 2] - abs(z):
         normal, u, v = ((-1.0 if x > 0 else 1.0), 0.0, 0.0), z, y
     else:
         normal, u, v = (0.0, 0.0, (-1.0 if z > 0 else 1.0)), x, y
     if known < 0:
-        known = openness(solids, label, point, normal)
+        known = sd.openness(solids, label, point, normal)
     grazing = max(abs(dot(normal, ray)), 0.12)
     r, gr, b = albedo(materials, m, local, u, v, footprint / grazing, bytes_)
     direct, mirror = _direct(g, solids, point, normal, ray, jitter, materials[m, GLOSS])
@@ -170,7 +137,7 @@ def shade(
     r = r * (g[SUN] * direct + g[ABOVE] * above + g[BELOW] * below) + mirror * g[SUN]
     gr = gr * (g[SUN + 1] * direct + g[ABOVE + 1] * above + g[BELOW + 1] * below) + mirror * g[SUN + 1]
     b = b * (g[SUN + 2] * direct + g[ABOVE + 2] * above + g[BELOW + 2] * below) + mirror * g[SUN + 2]
-    if label == FLOOR and g[ROOM] == 0:
+    if label == sd.FLOOR and g[ROOM] == 0:
         # The ground fades into the haze where it meets the dome.
         far = (x * x + z * z) / (g[EXTENT] * g[EXTENT])
         far *= far * 0.8
@@ -201,9 +168,9 @@ def _nearest(
 ) -> tuple[float, int]:
     best, label = hit_surroundings(g, origin, ray)
     for i in chosen[:count]:
-        t = hit_solid(solids, i, origin, ray, 1e-3)
+        t = sd.hit_solid(solids, i, origin, ray, 1e-3)
         if t < best:
-            best, label = t, i + SOLIDS
+            best, label = t, i + sd.SOLIDS
     return best, label
 
 
@@ -212,8 +179,8 @@ def _bounds(solids: np.ndarray, pose: np.ndarray, focal: float, height: int, wid
     """Rectangles of the image that hold the solids' bounding spheres: left, right, top, bottom."""
     bounds = np.empty((len(solids), 4), np.float64)
     for i in range(len(solids)):
-        v = (solids[i, CENTRE] - pose[0, 3], solids[i, CENTRE + 1] - pose[1, 3], solids[i, CENTRE + 2] - pose[2, 3])
-        r, cz = solids[i, BOUND], pose[0, 2] * v[0] + pose[1, 2] * v[1] + pose[2, 2] * v[2]
+        v = sd.from_point(solids, i, (pose[0, 3], pose[1, 3], pose[2, 3]))
+        r, cz = solids[i, sd.BOUND], pose[0, 2] * v[0] + pose[1, 2] * v[1] + pose[2, 2] * v[2]
         for axis in range(2):
             middle = (height if axis else width) / 2
             c = pose[0, axis] * v[0] + pose[1, axis] * v[1] + pose[2, axis] * v[2]
@@ -230,10 +197,7 @@ def _bounds(solids: np.ndarray, pose: np.ndarray, focal: float, height: int, wid
 
 @compiled
 def cast(
-    g: np.ndarray,
-    solids: np.ndarray,
-    materials: np.ndarray,
-    bytes_: np.ndarray,
+    tables: Tables,
     pose: np.ndarray,
     focal: float,
     color: np.ndarray,
@@ -242,42 +206,37 @@ def cast(
     samples: int,
 ) -> None:
     """Fill ``color`` (H W 3, linear light), ``depth`` (H W, along the camera's z axis) and ``labels`` (H W)."""
-    height, width = depth.shape
+    (g, solids, _, _), (height, width) = tables, depth.shape
     origin = (pose[0, 3], pose[1, 3], pose[2, 3])
     bounds = _bounds(solids, pose, focal, height, width)
-    in_row, chosen = np.empty(len(solids), np.int64), np.empty(len(solids), np.int64)
+    chosen = np.empty(len(solids), np.int64)
     for row in range(height):
-        rows = 0
-        for i in range(len(solids)):
-            if bounds[i, 2] <= row + 1 and bounds[i, 3] >= row:
-                in_row[rows] = i
-                rows += 1
+        in_row = np.flatnonzero((bounds[:, 2] <= row + 1) & (bounds[:, 3] >= row))
         for column in range(width):
             count = 0
-            for i in in_row[:rows]:
+            for i in in_row:
                 if bounds[i, 0] <= column + 1 and bounds[i, 1] >= column:
                     chosen[count] = i
                     count += 1
             ray = _ray(pose, focal, height, width, row + 0.5, column + 0.5)
             depth[row, column], labels[row, column] = _nearest(g, solids, chosen, count, origin, ray)
             red, green, blue, taken = 0.0, 0.0, 0.0, 0
-            # The openness to ambient light is computed once for each thing that a pixel sees.
+            # The sd.openness to ambient light is computed once for each thing that a pixel sees.
             last, known, contrast = labels[row, column], -1.0, 0.0
             for sample in range(samples * samples):
                 if sample == 2 and samples == 2 and contrast < CALM * (red + green + blue):
                     break
                 # For two samples per side: one diagonal first, then the other.
-                i, j = sample // samples, sample % samples
-                if samples == 2:
-                    i, j = sample & 1, (sample & 1) ^ (sample >> 1)
+                diagonal = (sample & 1, (sample & 1) ^ (sample >> 1))
+                i, j = diagonal if samples == 2 else (sample // samples, sample % samples)
                 fy, fx = (i + 0.5) / samples, (j + 0.5) / samples
                 ray = _ray(pose, focal, height, width, row + fy, column + fx)
                 t, label = _nearest(g, solids, chosen, count, origin, ray)
                 length = np.sqrt(dot(ray, ray))
                 point = (origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2])
                 view, footprint = scaled(ray, length), t * length / (focal * samples) * 1.2
-                jitter, openness = (2 * fx - 1, 2 * fy - 1), known if label == last else -1.0
-                r, gr, b, known = shade(g, solids, materials, bytes_, label, point, view, footprint, jitter, openness)
+                jitter, opened = (2 * fx - 1, 2 * fy - 1), known if label == last else -1.0
+                r, gr, b, known = shade(tables, label, point, view, footprint, jitter, opened)
                 if label != last:
                     contrast = 1e9
                 elif sample == 1:
@@ -285,5 +244,4 @@ def cast(
                 last, taken = label, taken + 1
                 red, green, blue = red + r, green + gr, blue + b
             taken = max(taken, 1)
-            color[row, column, 0], color[row, column, 1] = red / taken, green / taken
-            color[row, column, 2] = blue / taken
+            color[row, column] = (red / taken, green / taken, blue / taken)

@@ -13,14 +13,13 @@ from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Cameras, Views
-from anystyle_tiny.procedural.layout import Draw, ImageSide, World, lay_out, unit_circle
+from anystyle_tiny.procedural.layout import SPLITS, Draw, ImageSide, World, lay_out, unit_circle
 from anystyle_tiny.procedural.raycast import EXTENT, ROOM, cast
 from anystyle_tiny.procedural.solids import SOLIDS
 from anystyle_tiny.procedural.volumes import volumes
 
 Float64Array = NDArray[np.float64]
 
-SPLITS = ("train", "validation", "heldout")
 # Rejection looks at small square previews: what a scene is does not depend on the size it is rendered at.
 PREVIEW = 24
 ATTEMPTS = 60
@@ -31,15 +30,16 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 class Shot(NamedTuple):
-    """A scene that passed the inspection, with what rendering needs."""
+    """A scene that passed the inspection, with what rendering needs.
+
+    ``poses`` are world from camera in metres, y up; ``focal`` is in units of the shorter side, ``unit`` the metres in a
+    unit of the scene that is handed out.
+    """
 
     world: World
     poses: Float64Array
-    """World from camera in metres, y up; views x 4 x 4."""
     focal: float
-    """In units of the shorter side."""
     unit: float
-    """Metres in a unit of the scene that is handed out."""
     exposure: float
 
 
@@ -91,7 +91,6 @@ class ProceduralScenes(SceneSource):
         return f"{self.split}-{self.seed}-{scene:05d}"
 
     def num_views(self, scene: int) -> int:
-        """The same for all."""
         self._check(scene)
         return self.views
 
@@ -104,19 +103,16 @@ class ProceduralScenes(SceneSource):
         shot = self._shots.get(scene, lambda: self._find(scene))
         height, width = self.size
         focal = shot.focal * min(self.size)
-        images = np.empty((len(views), height, width, 3))
-        depth = np.empty((len(views), height, width))
-        for index, view in enumerate(views):
-            _cast(shot.world, shot.poses[view], focal, images[index], depth[index], self.samples)
+        casts = [_cast(shot.world, shot.poses[view], focal, self.size, self.samples) for view in views]
         poses = FLIP @ shot.poses[views]
         poses[:, :3, 3] /= shot.unit
-        intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-        levels = torch.from_numpy(_develop(images, shot.exposure)).permute(0, 3, 1, 2)
-        lenses = torch.from_numpy(intrinsics).float().expand(1, len(views), 3, 3).contiguous()
+        levels = torch.from_numpy(_develop(np.stack([one.color for one in casts]), shot.exposure)).permute(0, 3, 1, 2)
+        intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        lenses = intrinsics.expand(1, len(views), 3, 3).contiguous()
         return Views(
             images=(levels.float() / 255.0)[None].contiguous(),
             cameras=Cameras(torch.from_numpy(poses).float()[None], lenses, self.size),
-            depth=torch.from_numpy(depth / shot.unit).float()[None],
+            depth=torch.from_numpy(np.stack([one.depth for one in casts]) / shot.unit).float()[None],
             names=tuple(f"{self.name(scene)}/{view:03d}" for view in views),
         )
 
@@ -135,12 +131,16 @@ class ProceduralScenes(SceneSource):
         raise AssertionError(f"no acceptable scene in {ATTEMPTS} draws")
 
 
-def _cast(
-    world: World, pose: Float64Array, focal: float, color: Float64Array, depth: Float64Array, samples: int
-) -> NDArray[np.int64]:
-    labels = np.empty(depth.shape, np.int64)
-    cast(world.settings, world.solids, world.materials, volumes(), pose, focal, color, depth, labels, samples)
-    return labels
+class _Cast(NamedTuple):
+    color: Float64Array
+    depth: Float64Array
+    labels: NDArray[np.int64]
+
+
+def _cast(world: World, pose: Float64Array, focal: float, size: tuple[int, int], samples: int) -> _Cast:
+    found = _Cast(np.empty((*size, 3)), np.empty(size), np.empty(size, np.int64))
+    cast((world.settings, world.solids, world.materials, volumes()), pose, focal, *found, samples)
+    return found
 
 
 def _develop(linear: Float64Array, exposure: float) -> NDArray[np.uint8]:
@@ -156,8 +156,7 @@ def _look_at(eye: Float64Array, target: Float64Array, roll: float) -> Float64Arr
     forward = forward / np.sqrt((forward * forward).sum())
     right = np.array([-forward[2], 0.0, forward[0]])
     right = right / np.sqrt((right * right).sum())
-    (fx, fy, fz), (rx, ry, rz) = forward, right
-    down = np.array([fy * rz - fz * ry, fz * rx - fx * rz, fx * ry - fy * rx])
+    down = np.cross(forward, right)
     c, s = unit_circle(roll)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = c * right + s * down, c * down - s * right, forward, eye
@@ -187,20 +186,18 @@ def _path(draw: Draw, views: int) -> tuple[Float64Array, float]:
 
 def _inspect(world: World, poses: Float64Array, focal: float) -> Shot | None:
     """Accept or reject a scene by small previews of all its views."""
-    if world.settings[ROOM] > 0:
-        margin = np.abs(poses[:, :3, 3]) + 0.25
-        if (margin[:, [0, 2]] > world.settings[EXTENT : EXTENT + 3 : 2]).any():
-            return None
+    beyond = np.abs(poses[:, [0, 2], 3]) + 0.25 > world.settings[EXTENT : EXTENT + 3 : 2]
+    if world.settings[ROOM] > 0 and beyond.any():
+        return None
     depths: list[Float64Array] = []
-    color = np.empty((PREVIEW, PREVIEW, 3))
     for pose in poses:
-        depth = np.empty((PREVIEW, PREVIEW))
-        if not _presentable(depth, _cast(world, pose, focal * PREVIEW, color, depth, 0)):
+        _, depth, labels = _cast(world, pose, focal * PREVIEW, (PREVIEW, PREVIEW), 0)
+        if not _presentable(depth, labels):
             return None
         depths.append(depth)
     if _shared(poses, focal, depths) < 0.4:
         return None
-    _cast(world, poses[len(poses) // 2], focal * PREVIEW, color, depths[-1].copy(), 1)
+    color = _cast(world, poses[len(poses) // 2], focal * PREVIEW, (PREVIEW, PREVIEW), 1).color
     return Shot(world, poses, focal, float(depths[0].mean()), EXPOSED / float(color.mean()))
 
 

@@ -1,6 +1,6 @@
 """Solids that rays meet: where, with what normal, and what they hide from each other.
 
-The world's y axis points up and lengths are metres. A scene's solids are a table of numbers, a row a solid.
+The world's y axis points up and lengths are metres. A scene's solids are a table of numbers, with one row per solid.
 """
 
 import numpy as np
@@ -18,6 +18,7 @@ SOLID_COLUMNS = 15
 FLOOR, WALL, CEILING, SOLIDS = range(4)
 """Labels of what a ray meets, and materials of the surroundings; solid i has the label SOLIDS + i."""
 
+Pair = tuple[float, float]
 Vector = tuple[float, float, float]
 
 
@@ -34,7 +35,7 @@ def scaled(a: Vector, length: float) -> Vector:
 
 
 @compiled
-def _from_point(solids: np.ndarray, i: int, point: Vector) -> Vector:
+def from_point(solids: np.ndarray, i: int, point: Vector) -> Vector:
     """The vector from a point to the centre of a solid."""
     return solids[i, CENTRE] - point[0], solids[i, CENTRE + 1] - point[1], solids[i, CENTRE + 2] - point[2]
 
@@ -133,7 +134,7 @@ def surface(solids: np.ndarray, i: int, point: Vector) -> tuple[Vector, Vector, 
 def shadowed(solids: np.ndarray, point: Vector, light: Vector, distance: float) -> bool:
     """Whether a solid stands between a point and the light at a distance along the unit vector ``light``."""
     for i in range(len(solids)):
-        to_centre, bound = _from_point(solids, i, point), solids[i, BOUND]
+        to_centre, bound = from_point(solids, i, point), solids[i, BOUND]
         along = dot(to_centre, light)
         if along < -bound or along > distance + bound:
             continue
@@ -149,7 +150,7 @@ def openness(solids: np.ndarray, label: int, point: Vector, normal: Vector) -> f
     """Fraction of the ambient light that reaches a point past the solids; ``label`` is the one it lies on."""
     hidden = 0.0
     for i in range(len(solids)):
-        to_centre = _from_point(solids, i, point)
+        to_centre = from_point(solids, i, point)
         toward, d2, r2 = dot(to_centre, normal), dot(to_centre, to_centre), solids[i, BULK] * solids[i, BULK]
         if toward > 0 and d2 < 40.0 * r2 and i + SOLIDS != label:
             hidden += min(r2 / d2 - 0.025, 0.95) * toward / np.sqrt(d2)

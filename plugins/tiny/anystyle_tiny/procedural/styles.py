@@ -14,11 +14,10 @@ from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne, Count, Range
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, DIRECTIONS, SCALES, describe
-from anystyle_tiny.procedural.layout import Draw, ImageSide, unit_circle
+from anystyle_tiny.procedural.layout import SPLITS, Draw, ImageSide, unit_circle
 from anystyle_tiny.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, WASH, paint
 from anystyle_tiny.procedural.volumes import scramble, volumes
 
-SPLITS = ("train", "validation", "heldout")
 # One of every HOLD combinations of colours with a pattern is never seen in training.
 HOLD = 6
 # Patterns that look the same upside down turn freely; the others keep a direction that a caption may tell.
@@ -152,5 +151,5 @@ def paint_style(draw: Draw, traits: StyleTraits, size: int) -> Float[Tensor, "1 
     offset = [0.0, 0.0] if traits.pattern == WASH else [draw.between(0.0, 16.0), draw.between(0.0, 16.0)]
     salt = draw.below(1 << 16)
     paint(traits.pattern, traits.brushwork, frequency, turn, np.array(offset), palette, salt, volumes(), image)
-    levels = torch.from_numpy((image * 255.0 + 0.5).astype(np.uint8))
+    levels = torch.from_numpy((image.clip(0, 1) * 255.0 + 0.5).astype(np.uint8))
     return (levels.permute(2, 0, 1)[None].float() / 255.0).contiguous()

@@ -7,19 +7,9 @@ shimmer between views. Coordinates are in metres of the scene before it is norma
 import numpy as np
 
 from anystyle.compiled import compiled
+from anystyle_tiny.procedural import volumes as vl
 from anystyle_tiny.procedural.solids import Vector
-from anystyle_tiny.procedural.volumes import (
-    CELLS_AT,
-    EDGE_STEP,
-    EDGES_AT,
-    LEAF_SIDE,
-    LEAVES_AT,
-    chance,
-    cover,
-    noise_at,
-    rough,
-    sine,
-)  # fmt: skip
+from anystyle_tiny.procedural.volumes import chance, cover, noise_at, rough, sine
 
 TEXTURES = (
     "plain", "stripes", "checker", "dots", "bricks", "tiles", "wood", "marble", "noise", "leaves", "cells", "planks",
@@ -42,11 +32,9 @@ def _wave(x: float, footprint: float) -> float:
 @compiled
 def _blend(materials: np.ndarray, m: int, a: int, b: int, w: float, shade: float) -> Vector:
     """Between two colours of a material, times ``shade``."""
-    return (
-        (materials[m, a] * (1 - w) + materials[m, b] * w) * shade,
-        (materials[m, a + 1] * (1 - w) + materials[m, b + 1] * w) * shade,
-        (materials[m, a + 2] * (1 - w) + materials[m, b + 2] * w) * shade,
-    )
+    p, q = materials[m, a : a + 3], materials[m, b : b + 3]
+    v = 1 - w
+    return (p[0] * v + q[0] * w) * shade, (p[1] * v + q[1] * w) * shade, (p[2] * v + q[2] * w) * shade
 
 
 @compiled
@@ -86,19 +74,15 @@ def _pattern(
         fu, fv = fu - np.floor(fu) - 0.5, v - row - 0.5
         return _ramp(materials, m, 0.5 * cover(0.3 - np.sqrt(fu * fu + fv * fv), max(foot, 0.02)), 1.0)
     if kind in (BRICKS, TILES, PLANKS):
-        ratio = 2.2 if kind == BRICKS else (1.0 if kind == TILES else 6.0)
-        bond = 0.5 if kind == BRICKS else (0.0 if kind == TILES else -0.3)
+        ratio, bond = (2.2, 0.5) if kind == BRICKS else (1.0, 0.0) if kind == TILES else (6.0, -0.3)
         joint, tint = _blocks(u, v, foot, ratio, bond)
         shade = 0.8 + 0.4 * tint
         if kind == PLANKS:
             shade += 0.25 * noise_at(bytes_, u * 0.5 + 7 * tint, v * 4, tint * 4)
         r, g, b = _ramp(materials, m, 0.5 * tint, shade)
         w = joint * 0.85
-        return (
-            r * (1 - w) + materials[m, COLOR_C] * w,
-            g * (1 - w) + materials[m, COLOR_C + 1] * w,
-            b * (1 - w) + materials[m, COLOR_C + 2] * w,
-        )
+        c = materials[m, COLOR_C : COLOR_C + 3]
+        return r * (1 - w) + c[0] * w, g * (1 - w) + c[1] * w, b * (1 - w) + c[2] * w
     if kind == WOOD:
         n = noise_at(bytes_, x * 0.25, y, z)
         rings = np.sqrt(y * y + z * z) * 1.5 + 0.6 * n + 0.1 * x
@@ -110,15 +94,15 @@ def _pattern(
         vein = 1.0 - abs(vein)
         return _ramp(materials, m, vein * vein * vein, 1.0 + 0.1 * noise_at(bytes_, x, y, z))
     if kind in (LEAVES, CELLS):
-        k = LEAF_SIDE / (4.0 if kind == LEAVES else 8.0)
-        i, j, h = int(np.floor(x * k)) % LEAF_SIDE, int(np.floor(y * k)) % LEAF_SIDE, int(np.floor(z * k)) % LEAF_SIDE
-        at = (i * LEAF_SIDE + j) * LEAF_SIDE + h
+        k = vl.LEAF_SIDE / (4.0 if kind == LEAVES else 8.0)
+        side = vl.LEAF_SIDE
+        at = (int(np.floor(x * k)) % side * side + int(np.floor(y * k)) % side) * side + int(np.floor(z * k)) % side
         if kind == LEAVES:
-            label = int(bytes_[LEAVES_AT + at])
+            label = int(bytes_[vl.LEAVES_AT + at])
             shade = 0.45 + 0.9 * ((label * 37) & 255) / 255.0
             return _ramp(materials, m, label / 255.0, shade * (1.0 + 0.25 * noise_at(bytes_, 2 * x, 2 * y, 2 * z)))
-        shade = 1.0 - 0.6 * cover(0.7 - bytes_[EDGES_AT + at] * EDGE_STEP, max(foot * k, 0.8))
-        return _ramp(materials, m, bytes_[CELLS_AT + at] / 255.0, shade)
+        shade = 1.0 - 0.6 * cover(0.7 - bytes_[vl.EDGES_AT + at] * vl.EDGE_STEP, max(foot * k, 0.8))
+        return _ramp(materials, m, bytes_[vl.CELLS_AT + at] / 255.0, shade)
     if kind == NOISE:
         return _ramp(materials, m, 0.5 + 0.55 * rough(bytes_, x, y, z, foot), 1.0)
     return materials[m, COLOR_A], materials[m, COLOR_A + 1], materials[m, COLOR_A + 2]

@@ -9,13 +9,9 @@ from anystyle.compiled import compiled
 
 # The volumes that textures look up, one after the other in one array of bytes: 1/f noise; labels of overlapping blobs
 # of scale-invariant sizes, as in photographs; labels of Voronoi cells; distance to the cell's border.
-NOISE_SIDE = 64
-LEAF_SIDE = 96
-LEAVES_AT = NOISE_SIDE**3
-CELLS_AT = LEAVES_AT + LEAF_SIDE**3
-EDGES_AT = CELLS_AT + LEAF_SIDE**3
-NOISE_STEP = 1.0 / 127.0
-EDGE_STEP = 1.0 / 32.0
+NOISE_SIDE, LEAF_SIDE = 64, 96
+LEAVES_AT, CELLS_AT, EDGES_AT = (NOISE_SIDE**3 + volume * LEAF_SIDE**3 for volume in range(3))
+NOISE_STEP, EDGE_STEP = 1.0 / 127.0, 1.0 / 32.0
 # Lattice units of noise in one period of the tile.
 NOISE_UNITS = 4.0
 
@@ -39,10 +35,8 @@ def sine(x: float) -> float:
     """The sine to 1e-7, from operations that every machine rounds alike."""
     turns = x * 0.15915494309189535
     r = turns - np.floor(turns + 0.5)
-    if r > 0.25:
-        r = 0.5 - r
-    elif r < -0.25:
-        r = -0.5 - r
+    if abs(r) > 0.25:
+        r = (0.5 if r > 0 else -0.5) - r
     a = r * 6.283185307179586
     b = a * a
     return a * (1.0 + b * (-1.0 / 6 + b * (1.0 / 120 + b * (-1.0 / 5040 + b * (1.0 / 362880 + b * (-1.0 / 39916800))))))
@@ -52,11 +46,9 @@ def sine(x: float) -> float:
 def scramble(value: int) -> int:
     """Hash a small integer to 32 bits."""
     h = (value * 2654435761 + 97) & 0xFFFFFFFF
-    h ^= h >> 16
-    h = (h * 2246822519) & 0xFFFFFFFF
-    h ^= h >> 13
-    h = (h * 3266489917) & 0xFFFFFFFF
-    return h ^ (h >> 16)
+    h = ((h ^ h >> 16) * 2246822519) & 0xFFFFFFFF
+    h = ((h ^ h >> 13) * 3266489917) & 0xFFFFFFFF
+    return h ^ h >> 16
 
 
 @compiled
@@ -76,9 +68,8 @@ def _make_noise(side: int) -> np.ndarray:
     tile = np.zeros((side, side, side), np.float32)
     total = 0.0
     for octave in range(4):
-        cell = 16 >> octave
+        cell, amplitude = 16 >> octave, 1.0 / (1 << octave)
         cells = side // cell
-        amplitude = 1.0 / (1 << octave)
         total += amplitude * 0.62
         for x, y, z in np.ndindex(side, side, side):
             fx, fy, fz = (x % cell) / cell, (y % cell) / cell, (z % cell) / cell

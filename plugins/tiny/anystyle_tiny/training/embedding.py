@@ -61,10 +61,7 @@ class EmbeddingTraining(StyleTraining):
         super().__init__()
         self.style_encoder = style_encoder
         if texture is not None:
-            start = dict(networks.load(texture).named_parameters())
-            with torch.no_grad():
-                for name, parameter in style_encoder.image_tower.texture.named_parameters():
-                    parameter.copy_(start[name])
+            style_encoder.image_tower.texture.load_state_dict(networks.load(texture).state_dict())
         style_encoder.image_tower.texture.requires_grad_(False)
         self.feature_noise = feature_noise
         self._known: dict[int, tuple[Tensor, Tensor]] = {}
@@ -98,7 +95,7 @@ class EmbeddingTraining(StyleTraining):
         captions = self.style_encoder.embed_texts([with_made_up_word(text) for text in batch.texts + batch.photo_texts])
         terms = {"contrast": self.contrast(pictures, captions, len(batch.photos))}
         for name, vectors in (("image", pictures), ("text", captions)):
-            named = self.traits.losses(self._scaled(vectors[:styles]), batch.traits)
+            named = self.traits.losses(self.style_encoder.scaled(vectors[:styles]), batch.traits)
             terms[f"{name}_names"] = torch.stack([*named.values()]).sum()
             terms[f"{name}_palette"] = self.palette_error(vectors, ramps)
         weights = {"contrast": 1.0, "names": self.names_weight, "palette": self.palette_weight}
@@ -122,8 +119,7 @@ class EmbeddingTraining(StyleTraining):
                 if key not in self._known:
                     # One by one, so that a picture's features do not depend on its batch.
                     self._known[key] = tower.textures(shorter_side(image, SIDE))[0], colors(image)[0]
-        textures = torch.stack([self._known[key][0] for key in keys])
-        ramps = torch.stack([self._known[key][1] for key in keys])
+        textures, ramps = (torch.stack([self._known[key][part] for key in keys]) for part in (0, 1))
         textures = textures * (1 + self.feature_noise * torch.randn_like(textures))
         return tower.join(textures, ramps), ramps
 
@@ -144,14 +140,10 @@ class EmbeddingTraining(StyleTraining):
         ramps = colors(batch.images)
         figures = retrieval(pictures, captions)
         for name, vectors in (("image", pictures), ("text", captions)):
-            named = self.traits.accuracies(self._scaled(vectors), batch.traits)
+            named = self.traits.accuracies(self.style_encoder.scaled(vectors), batch.traits)
             figures |= {f"{name}_{trait}": value for trait, value in named.items()}
             figures[f"{name}_palette_error"] = self.palette_error(vectors, ramps)
         self.log_dict({f"val/{name}": value for name, value in figures.items()}, batch_size=len(captions))
-
-    def _scaled(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
-        """Unit vectors with elements of about unit size, as linear layers expect them."""
-        return vectors * self.style_encoder.dim**0.5
 
     def configure_optimizers(self) -> Any:
         """AdamW with a warm-up and a cosine to 0.2 % of the rate."""

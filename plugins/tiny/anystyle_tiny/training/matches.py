@@ -3,6 +3,7 @@
 Matching patches across views, and localising them, is supervised through projections that exist in training only.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -37,16 +38,15 @@ def patch_matches(
     u = ((torch.arange(columns, device=depth.device) + 0.5) * width / columns).long()
     world = Geometry(cameras, depth, depth).points()[:, :, v][:, :, :, u].flatten(2, 3)
     known = (depth[:, :, v][:, :, :, u] > 0).flatten(2, 3)
-    pixel, distance = project(cameras.select([0]), world.flatten(1, 2))
-    pixel, distance = pixel[:, 0].unflatten(1, known.shape[1:]), distance[:, 0].unflatten(1, known.shape[1:])
+    seen_at = project(cameras.select([0]), world.flatten(1, 2))
+    pixel, distance = (each[:, 0].unflatten(1, known.shape[1:]) for each in seen_at)
     x, y = pixel[..., 0], pixel[..., 1]
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (distance > 1e-3)
     column, row = x.clamp(0, width - 1).long(), y.clamp(0, height - 1).long()
     seen = depth[:, 0].flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, known.shape[1:])
     unhidden = (seen - distance).abs() < tolerance * distance.clamp_min(1e-3)
-    line_v, line_u = torch.meshgrid(v + 0.5, u + 0.5, indexing="ij")
     scale = depth.new_tensor([2 / width, 2 / height])
-    centers = torch.stack([line_u, line_v], dim=-1).flatten(0, 1) * scale - 1
+    centers = torch.cartesian_prod(v + 0.5, u + 0.5).flip(-1) * scale - 1
     return PatchMatches(
         points=world,
         known=known,
@@ -69,7 +69,7 @@ class FeatureProbes(nn.Module):
 
     def forward(self, features: Features, matches: PatchMatches) -> dict[str, Float[Tensor, ""]]:
         """Means over layers."""
-        terms: dict[str, list[Tensor]] = {"match": [], "glide": [], "locate": [], "shift": []}
+        terms: dict[str, list[Tensor]] = defaultdict(list)
         others = matches.visible[:, 1:]
         for layer, tokens in features.items():
             patches = self.normal[str(layer)](tokens.patches.float())

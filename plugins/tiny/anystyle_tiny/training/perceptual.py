@@ -20,6 +20,8 @@ from anystyle_tiny.training.styles import TRAITS, UNKNOWN, StyleBatch, StyleTrai
 
 TAPS = ("relu2_2", "relu3_2", "relu4_1")
 POOLED = 2 * (64 + 96 + 128)
+COLORS = 4
+"""Colours of a palette."""
 
 
 class PerceptualTraining(StyleTraining):
@@ -63,10 +65,9 @@ class PerceptualTraining(StyleTraining):
     ) -> None:
         super().__init__()
         self.batch_size, self.photos, self.crop, self.pool = batch_size, photos, crop, pool
-        self.recolor, self.blend, self.shrink = recolor, blend, shrink
+        self.recolor, self.blend, self.shrink, self.bf16 = recolor, blend, shrink, bf16
         self.scale_weight, self.palette_weight = scale_weight, palette_weight
         self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
-        self.bf16 = bf16
         self.network = NormedTexture()
         self.norm = nn.BatchNorm1d(POOLED)
         self.traits = TraitHeads(POOLED)
@@ -161,13 +162,12 @@ class NormedTexture(nn.Module):
 
 def _cropped(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 side side"]:
     """One random square of each, mirrored and turned by quarters."""
-    _, _, height, width = images.shape
     cut = []
     for image in images:
-        top, left = torch.randint(height - side + 1, ()).item(), torch.randint(width - side + 1, ()).item()
+        top, left = (int(torch.randint(whole - side + 1, ())) for whole in image.shape[1:])
         piece = image[:, top : top + side, left : left + side]
         flips = [axis for axis in (-2, -1) if torch.rand(()) < 0.5]
-        piece = piece.flip(flips) if flips else piece
+        piece = piece.flip(flips)
         cut.append(piece.mT if torch.rand(()) < 0.5 else piece)
     return torch.stack(cut) if cut else images[..., :side, :side]
 
@@ -178,10 +178,6 @@ def _recolored(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
     permuted = images.gather(1, order[:, :, None, None].expand_as(images))
     inverted = (torch.rand(len(images), 3, 1, 1) < 0.5).to(images.device)
     return torch.where(inverted, 1 - permuted, permuted)
-
-
-COLORS = 4
-"""Colours of a palette."""
 
 
 def palette_loss(

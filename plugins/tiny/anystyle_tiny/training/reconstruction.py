@@ -29,7 +29,7 @@ WEIGHTS = {
     "depth": 1.0, "camera": 1.0, "transfer": 1.0, "point": 0.5, "render": 5.0, "ssim": 0.2,
     "match": 0.1, "glide": 1.0, "locate": 1.0, "shift": 5.0, "correlation": 0.3,
 }  # fmt: skip
-"""Of the terms: depth; cameras by themselves and as points move; points; renders and their structure; then what each
+"""Weights of the terms: depth; cameras by themselves and as points move; points; renders and their structure; what each
 patch must predict: its match in the first view, the match's expected position, its own world point, its motion toward
 the first view; and the matches of an :class:`~anystyle_backbones.aligner.Aligner`."""
 
@@ -118,10 +118,9 @@ class ReconstructionTraining(Training):
         losses = self.geometry_losses(features, geometry, inputs)
         if self.global_step % self.render_every == 0:
             rendered = [step // self.render_every % batch.context, *range(batch.context, views.images.shape[1])]
-            some = pytree.tree_map_only(
-                Tensor, lambda tensor: tensor[: self.render_scenes], (features, geometry, views)
-            )
-            losses |= self.render_losses(some[0], some[1], some[2], rendered)
+            everything, count = (features, geometry, views), self.render_scenes
+            some = pytree.tree_map_only(Tensor, lambda tensor: tensor[:count], everything)
+            losses |= self.render_losses(*some, rendered)
         total = self.total(losses)
         self.log("train/loss", total, batch_size=rows, prog_bar=True)
         self.log_dict({f"train/{name}": loss for name, loss in losses.items()}, batch_size=rows)
@@ -139,24 +138,18 @@ class ReconstructionTraining(Training):
         cameras, depth = inputs.cameras, inputs.depth
         assert cameras is not None and depth is not None
         with self.exact():
-            return {
+            losses = {
                 "depth": depth_loss(geometry.depth, geometry.confidence, depth),
                 "camera": camera_loss(geometry.cameras, cameras),
                 "transfer": transfer_loss(geometry.cameras, cameras, depth),
                 "point": point_loss(geometry, cameras, depth),
-                **self.match_losses(features, cameras, depth),
+                **self.probes(features, patch_matches(cameras, depth, next(iter(features.values())).grid)),
             }
-
-    def match_losses(
-        self, features: Features, cameras: Cameras, depth: Float[Tensor, "B V H W"]
-    ) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms of matches between views."""
-        losses = self.probes(features, patch_matches(cameras, depth, next(iter(features.values())).grid))
-        correlation, self._correlation = self._correlation, None
-        if correlation is not None:
-            cells = (correlation.shape[-2], correlation.shape[-1])
-            losses["correlation"] = correlation_loss(correlation, patch_matches(cameras, depth, cells))
-        return losses
+            correlation, self._correlation = self._correlation, None
+            if correlation is not None:
+                rows, columns = correlation.shape[-2:]
+                losses["correlation"] = correlation_loss(correlation, patch_matches(cameras, depth, (rows, columns)))
+            return losses
 
     def _keep(self, aligner: torch.nn.Module, inputs: tuple[Any, ...]) -> None:
         self._correlation = inputs[0] if aligner.training else None
@@ -177,8 +170,8 @@ class ReconstructionTraining(Training):
             if self.predicted_camera_weight:
                 predicted = self.gaussians_at(attributes, geometry, geometry.cameras)
                 renders = self.renderer(predicted, geometry.cameras.select([rendered[0]]))
-                for name, loss in photometric(renders, targets.images[:, :1]).items():
-                    losses[f"predicted_{name}"] = loss
+                terms = photometric(renders, targets.images[:, :1])
+                losses |= {f"predicted_{name}": loss for name, loss in terms.items()}
             return losses
 
     def gaussians_at(self, attributes: Attributes, geometry: Geometry, cameras: Cameras) -> Gaussians:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import torch
 import torch.nn.functional as F
@@ -37,6 +38,10 @@ PHOTO_TEXTS = (
 """Captions of pictures of scenes: the neutral end of the style space."""
 
 
+PHOTO_POOL = 512
+"""Photographs that are drawn from: views of scenes."""
+
+
 @dataclass(frozen=True)
 class StyleBatch(Value):
     """What one step of a style training sees."""
@@ -69,31 +74,28 @@ class StyleBatches:
         batch_size: int = 64,
         photos: int = 8,
         pool: int | None = None,
-        photo_pool: int = 512,
     ) -> None:
         source = required(styles, "styles")
         if not isinstance(source, ProceduralStyles):
             raise UserError(f"the traits of {type(source).__name__} are not known; use styles=procedural")
         self.styles, self.scenes = source, required(scenes, "scenes")
-        self.seed = seed
+        self.seed, self.batch_size, self.photos = seed, batch_size, photos
         self.pool = len(source) if pool is None else min(pool, len(source))
         if self.pool < batch_size:
             raise UserError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
-        self.batch_size, self.photos, self.photo_pool = batch_size, photos, photo_pool
-        self._styles: dict[int, tuple[Tensor, str, Tensor]] = {}
-        self._photos: dict[int, Tensor] = {}
+        self._style, self._photo = cache(self._read_style), cache(self._read_photo)
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> StyleBatch:
         """The rows of ``step`` that process ``rank`` of ``world`` works on."""
         rng = generator(self.seed, 7, step)
         styles = rng.choice(self.pool, self.batch_size, replace=False)[rank::world].tolist()
-        scenes = rng.integers(0, self.photo_pool, self.photos)[rank::world].tolist()
+        scenes = rng.integers(0, PHOTO_POOL, self.photos)[rank::world].tolist()
         texts = rng.integers(0, len(PHOTO_TEXTS), self.photos)[rank::world].tolist()
         batch, photos = self._styles_only(styles), [self._photo(photo) for photo in scenes]
         if photos and photos[0].shape != batch.images.shape[1:]:
+            (height, width), (h, w) = batch.images.shape[-2:], photos[0].shape[-2:]
             raise UserError(
-                f"styles are {_size(batch.images)} and scenes {_size(photos[0])} pixels; set styles.size and "
-                "scenes.size to the same"
+                f"styles are {height}x{width} and scenes {h}x{w} pixels; set styles.size and scenes.size to the same"
             )
         return replace(
             batch,
@@ -112,20 +114,16 @@ class StyleBatches:
         pictures = torch.stack(images).float() / 255
         return StyleBatch(pictures, texts, torch.stack(traits), photos=pictures[:0], photo_texts=())
 
-    def _style(self, style: int) -> tuple[Tensor, str, Tensor]:
-        if style not in self._styles:
-            source, traits = self.styles.read(style), self.styles.traits(style)
-            assert source.image is not None and source.text is not None
-            answers = torch.tensor([getattr(traits, name) for name in TRAITS])
-            self._styles[style] = (source.image[0] * 255).round().byte(), source.text[0], answers
-        return self._styles[style]
+    def _read_style(self, style: int) -> tuple[Tensor, str, Tensor]:
+        source, traits = self.styles.read(style), self.styles.traits(style)
+        assert source.image is not None and source.text is not None
+        answers = torch.tensor([getattr(traits, name) for name in TRAITS])
+        return (source.image[0] * 255).round().byte(), source.text[0], answers
 
-    def _photo(self, photo: int) -> Tensor:
-        if photo not in self._photos:
-            scene = photo % len(self.scenes)
-            view = photo // len(self.scenes) % self.scenes.num_views(scene)
-            self._photos[photo] = (self.scenes.read(scene, [view]).images[0, 0] * 255).round().byte()
-        return self._photos[photo]
+    def _read_photo(self, photo: int) -> Tensor:
+        scene = photo % len(self.scenes)
+        view = photo // len(self.scenes) % self.scenes.num_views(scene)
+        return (self.scenes.read(scene, [view]).images[0, 0] * 255).round().byte()
 
 
 class StyleTraining(Training):
@@ -157,10 +155,8 @@ def retrieval(images: Float[Tensor, "M D"], texts: Float[Tensor, "M D"]) -> dict
     """How often the nearest text of an image is its own, and the nearest image of a text; rows belong together."""
     similarity = F.normalize(images, dim=-1) @ F.normalize(texts, dim=-1).T
     index = torch.arange(len(texts), device=similarity.device)
-    return {
-        "retrieval_image_to_text": (similarity.argmax(1) == index).float().mean(),
-        "retrieval_text_to_image": (similarity.argmax(0) == index).float().mean(),
-    }
+    names = ("retrieval_text_to_image", "retrieval_image_to_text")
+    return {name: (similarity.argmax(axis) == index).float().mean() for axis, name in enumerate(names)}
 
 
 class TraitHeads(nn.ModuleDict):
@@ -185,7 +181,3 @@ class TraitHeads(nn.ModuleDict):
             name: (head(features).argmax(-1) == target).float().mean()
             for (name, head), target in zip(self.items(), traits.unbind(1), strict=True)
         }
-
-
-def _size(image: Tensor) -> str:
-    return f"{image.shape[-2]}x{image.shape[-1]}"

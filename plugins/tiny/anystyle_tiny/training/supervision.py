@@ -22,7 +22,7 @@ def canonical(views: Views, context: int) -> Views:
     distance = (points.norm(dim=-1) * valid).sum((1, 2, 3)) / valid.sum((1, 2, 3)).clamp_min(1)
     scale = 1 / distance.clamp_min(1e-6)[:, None]
     poses = cameras.world_from_camera.clone()
-    poses[..., :3, 3] = poses[..., :3, 3] * scale[..., None]
+    poses[..., :3, 3] *= scale[..., None]
     return replace(views, cameras=replace(cameras, world_from_camera=poses), depth=views.depth * scale[..., None, None])
 
 
@@ -44,11 +44,9 @@ def depth_loss(
     loss = masked_mean(confidence * error.abs() - alpha * confidence.log(), valid)
     for step in (1, 2, 4):
         for axis in (-1, -2):
-            count = error.shape[axis] - step
-            if count < 1:
-                continue
-            slope = error.narrow(axis, step, count) - error.narrow(axis, 0, count)
-            both = valid.narrow(axis, step, count) & valid.narrow(axis, 0, count)
+            count = max(0, error.shape[axis] - step)
+            slope = error.narrow(axis, -count, count) - error.narrow(axis, 0, count)
+            both = valid.narrow(axis, -count, count) & valid.narrow(axis, 0, count)
             loss = loss + gradient / 6 * masked_mean(slope.abs(), both)
     return loss
 
