@@ -1,14 +1,17 @@
 """Gaussian and geometry heads on a DPT decoder, and cameras of pose encodings; a backbone adds what is its own."""
 
-from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar
+from math import isqrt
+from typing import Any
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle import contracts
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.types import Attributes, Cameras, Features, Geometry, Inject, Site, Tokens, untouched
@@ -16,22 +19,22 @@ from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.dpt import Dpt, by_views
 
 
-class DptGaussians(nn.Module):
+class DptGaussians(contracts.GaussianHead):
     """One raw Gaussian per pixel: a DPT whose decoded map is joined by features of the image itself.
 
     Args:
         dpt: The decoder; the channels of its result are those that :meth:`attributes` reads.
+        direct: Computes these features, for :meth:`image_features`.
         sh_degree: Degree of the spherical harmonics.
         taps: The layers that the decoder reads, four, in rising order.
         chunk: Views decoded at a time, which changes memory only.
     """
 
-    def __init__(self, dpt: Dpt, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
+    def __init__(self, dpt: Dpt, direct: nn.Module, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
         super().__init__()
-        self.dpt = dpt
+        self.dpt, self.direct = dpt, direct
         self.coefficients = (sh_degree + 1) ** 2
-        self.taps = tuple(taps)
-        self.chunk = chunk
+        self.taps, self.chunk = tuple(taps), chunk
 
     @abstractmethod
     def image_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
@@ -70,14 +73,19 @@ class DptGaussians(nn.Module):
         return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
 
 
-_Camera = TypeVar("_Camera", bound=nn.Module)
+class CameraReader(nn.Module, ABC):
+    """Reads cameras off tokens."""
+
+    @abstractmethod
+    def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
+        """Cameras of images of a size, in fp32, from one token per view."""
 
 
-class DptGeometry(nn.Module, Generic[_Camera]):
+class GeometryHead(contracts.GeometryHead):
     """Cameras from the last tap's leading token, and a DPT for depth; in the weights' precision throughout.
 
     Args:
-        camera: Decodes pose encodings from tokens, for :meth:`cameras`.
+        camera: Reads cameras off tokens.
         depth: Predicts the logarithm of depth, and of confidence less one.
         taps: The layers that the depth head reads, four, in rising order.
         chunk: Views decoded at a time, which changes memory only.
@@ -85,42 +93,31 @@ class DptGeometry(nn.Module, Generic[_Camera]):
     """
 
     def __init__(
-        self, camera: _Camera, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
+        self, camera: CameraReader, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
     ) -> None:
         super().__init__()
-        self.camera: _Camera = camera
-        self.depth = depth
-        self.taps = tuple(taps)
-        self.chunk = chunk
-        self.aligner = aligner
-
-    @abstractmethod
-    def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
-        """Cameras of images of a size, in fp32, from one token per view."""
+        self.camera, self.depth, self.aligner = camera, depth, aligner
+        self.taps, self.chunk = tuple(taps), chunk
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
-        size, last = (images.shape[-2], images.shape[-1]), features[self.taps[-1]]
-        with torch.autocast(last.data.device.type, enabled=False):
+        size, levels = (images.shape[-2], images.shape[-1]), [features[layer] for layer in self.taps]
+        batch, views = images.shape[:2]
+
+        def decode(chosen: slice) -> Float[Tensor, "B v H W 2"]:
+            patches = (level.patches[:, chosen].to(self.depth.dtype) for level in levels)
+            decoded = self.depth.decode(
+                [self.depth.norm(each).flatten(0, 1) for each in patches], levels[-1].grid, size
+            )
+            return self.depth.predict_(decoded).unflatten(0, (batch, -1))
+
+        with torch.autocast(images.device.type, enabled=False):
             # Cameras too: under autocast a product of matrices would leave poses with three digits.
-            cameras = self.cameras(last.data[:, :, 0].to(self.depth.dtype), size)
-            logs = self.decode(
-                features, lambda levels: self.depth.predict_(self.depth.decode(levels, last.grid, size))
-            )  # B V H W 2
+            cameras = self.camera.cameras(levels[-1].data[:, :, 0].to(self.depth.dtype), size)
+            logs = by_views(decode, views, max(1, self.chunk // batch))
         depth, confidence = logs.float().exp().unbind(-1)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        return geometry if self.aligner is None else self.aligner.aligned(geometry, images, last.reference)
-
-    def decode(self, features: Features, decoder: Callable[[list[Tensor]], Tensor]) -> Float[Tensor, "B V *rest"]:
-        """Apply ``decoder`` to the normalised patch tokens of the four taps, a few views at a time."""
-        tokens = [features[layer] for layer in self.taps]
-        batch, views = tokens[0].data.shape[:2]
-
-        def decode_chunk(chosen: slice) -> Tensor:
-            patches = (level.patches[:, chosen].to(self.depth.dtype) for level in tokens)
-            return decoder([self.depth.norm(level).flatten(0, 1) for level in patches]).unflatten(0, (batch, -1))
-
-        return by_views(decode_chunk, views, max(1, self.chunk // batch))
+        return geometry if self.aligner is None else self.aligner.aligned(geometry, images, levels[-1].reference)
 
 
 def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int) -> None:
@@ -132,6 +129,16 @@ def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, dept
             f"taps are {list(taps)}; give four layers from {first} on in rising order, of which the last is "
             f"depth - 1 = {depth - 1}"
         )
+
+
+def positions(stored: Float[Tensor, "1 L C"], grid: tuple[int, int], **resampling: Any) -> Float[Tensor, "1 M C"]:
+    """Position embeddings of a class token and a grid; where the grid is not the stored one, it is resampled."""
+    side = isqrt(stored.shape[1] - 1)
+    if grid == (side, side):
+        return stored
+    patches = stored[:, 1:].float().mT.unflatten(2, (side, side))
+    resampled = F.interpolate(patches, mode="bicubic", **resampling)
+    return torch.cat([stored[:, :1].float(), resampled.flatten(2).mT], dim=1)
 
 
 def rotation_of(encoding: Float[Tensor, "B V 9"]) -> Float[Tensor, "B V 3 3"]:
@@ -150,9 +157,10 @@ def centred_cameras(
     ``rotation`` is world from camera; ``tangent`` that of half the vertical and half the horizontal field of view.
     """
     height, width = size
-    last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)
-    pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
-    focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
-    zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
-    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
-    return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)
+    pose = torch.eye(4).to(origin).repeat(*origin.shape[:-1], 1, 1)
+    pose[..., :3, :3], pose[..., :3, 3] = rotation, origin
+    half = origin.new_tensor([width / 2, height / 2])
+    intrinsics = torch.eye(3).to(origin).repeat(*origin.shape[:-1], 1, 1)
+    intrinsics[..., 0, 0], intrinsics[..., 1, 1] = (half / tangent.flip(-1)).unbind(-1)
+    intrinsics[..., :2, 2] = half
+    return Cameras(pose, intrinsics, size)

@@ -1,7 +1,7 @@
 """Published weights of backbones: renaming keys, reading sizes off shapes, strict loading."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from torch import Tensor, nn
 
@@ -55,6 +55,17 @@ def length(state: Mapping[str, Tensor], name: str, axis: int, *, publisher: str)
 def numbers(names: Iterable[str], pattern: str) -> set[int]:
     """The numbers that the group of a regular expression matches at the beginning of names."""
     return {int(match[1]) for name in names if (match := re.match(pattern, name))}
+
+
+def count(names: Iterable[str], prefix: str) -> int:
+    """How many numbers follow a prefix."""
+    return len(numbers(names, re.escape(prefix) + r"(\d+)\."))
+
+
+def decoder_options(of: Callable[[str, int], int], part: str, option: str) -> dict[str, object]:
+    """The options of a :class:`~anystyle_backbones.dpt.Dpt`, by the lengths ``of`` axes of tensors."""
+    channels = tuple(of(f"{part}.projects.{level}.weight", 0) for level in range(4))
+    return {f"{option}_features": of(f"{part}.scratch.output_conv1.weight", 1), f"{option}_channels": channels}
 
 
 def load_renamed(

@@ -6,19 +6,39 @@ in double precision. Rotations are ``[N, 4]`` wxyz of any norm, scales ``[N, 3]`
 columns.
 
 The backward pass starts from ``moments [n, MOMENTS]``, which :mod:`anystyle_cpu_renderer.raster` accumulates for each
-splat. ``d_x`` is the gradient of ``x`` in its shape, and is added to; that of the camera is left out unless ``posed``.
+splat. ``into`` and ``d_x`` are gradients, and are added to; that of the camera is left out unless ``posed``.
 ``lens`` holds focal lengths over depth and slopes of the ray, ``fx / z, fy / z, u, v``; ``basis [K]``, ``slopes [K,
 3]``, ``ray [3]`` are buffers; ``owners [n]`` are Gaussians, ascending, ``ranks [n]`` the rows of their splats in
 ``splats, moments``.
 """
 
 from math import isfinite, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from anystyle_cpu_renderer.raster import compiled
+from anystyle_cpu_renderer.raster import SortedSplats, compiled
 
 Array = np.ndarray
+
+
+class SceneArrays(NamedTuple):
+    """Gaussians of one scene, or their gradients; ``shapes`` are packed covariances."""
+
+    means: Array
+    rotations: Array
+    scales: Array
+    opacities: Array
+    harmonics: Array
+    shapes: Array
+
+
+class CameraArrays(NamedTuple):
+    """One camera: see :data:`CAMERA`; width, height, near, far and blur; tables of :func:`harmonics_slopes`."""
+
+    camera: Array
+    limits: Array
+    tables: Array
 
 
 @compiled
@@ -44,9 +64,9 @@ def matrix(w: float, x: float, y: float, z: float, rotation: Array) -> None:
 
 
 @compiled
-def covariances(rotations: Array, scales: Array, start: int, stop: int, packed: Array) -> None:
+def covariances(scene: SceneArrays, start: int, stop: int) -> None:
     """Write the covariances ``start .. stop``."""
-    r = np.empty((3, 3))
+    rotations, scales, r = scene.rotations, scene.scales, np.empty((3, 3))
     for g in range(start, stop):
         w, x, y, z, _ = unit(rotations[g])
         matrix(w, x, y, z, r)
@@ -59,18 +79,17 @@ def covariances(rotations: Array, scales: Array, start: int, stop: int, packed: 
             yy += variance * r[1, k] * r[1, k]
             yz += variance * r[1, k] * r[2, k]
             zz += variance * r[2, k] * r[2, k]
-        row = packed[g]
+        row = scene.shapes[g]
         row[0], row[1], row[2], row[3], row[4], row[5] = xx, xy, xz, yy, yz, zz
 
 
 @compiled
-def covariances_backward(
-    rotations: Array, scales: Array, start: int, stop: int, d_packed: Array, d_rotations: Array, d_scales: Array
-) -> None:
+def covariances_backward(scene: SceneArrays, start: int, stop: int, into: SceneArrays) -> None:
     """Write the gradients of rotations and scales."""
+    rotations, scales, d_rotations, d_scales = scene.rotations, scene.scales, into.rotations, into.scales
     r, d_r = np.empty((3, 3)), np.empty((3, 3))
     for g in range(start, stop):
-        d = d_packed[g]
+        d = into.shapes[g]
         if d[0] == 0.0 and d[1] == 0.0 and d[2] == 0.0 and d[3] == 0.0 and d[4] == 0.0 and d[5] == 0.0:
             d_rotations[g], d_scales[g] = 0.0, 0.0
             continue
@@ -166,20 +185,10 @@ def times(covariances: Array, g: int, a: tuple) -> tuple:
 
 
 @compiled
-def project(
-    means: Array,
-    covariances: Array,
-    opacities: Array,
-    harmonics: Array,
-    camera: Array,
-    limits: Array,
-    tables: Array,
-    start: int,
-    stop: int,
-    splats: Array,
-    owners: Array,
-) -> int:
+def project(scene: SceneArrays, view: CameraArrays, start: int, stop: int, splats: Array, owners: Array) -> int:
     """Write the splats of the Gaussians ``start .. stop`` that are visible in an image."""
+    means, _, _, opacities, harmonics, covariances = scene
+    camera, limits, tables = view
     r, t, origin = camera[:9], camera[9:12], camera[12:15]
     fx, fy, cx, cy = camera[15], camera[16], camera[17], camera[18]
     width, height, near, far, blur = limits[0], limits[1], limits[2], limits[3], limits[4]
@@ -240,26 +249,19 @@ def covariance_gradient(xx: float, xy: float, yy: float, gxx: float, gxy: float,
 
 @compiled
 def shape_backward(
-    r: Array,
-    covariances: Array,
-    g: int,
-    d_image: tuple,
-    lens: tuple,
-    d_covariances: Array,
-    posed: bool,
-    d_camera: Array,
+    r: Array, scene: SceneArrays, g: int, d_image: tuple, lens: tuple, into: SceneArrays, posed: bool, d_camera: Array
 ) -> tuple:
     """Accumulate gradients of a covariance C and of the camera through the covariance ``A C Aᵀ`` in the image."""
     hxx, hxy, hyy = d_image
     sx, sy, bu, bv = lens
     a, b = image_axes(r, lens)
-    p, q = times(covariances, g, a), times(covariances, g, b)
+    p, q = times(scene.shapes, g, a), times(scene.shapes, g, b)
     entry = 0
     for j in range(3):
         for k in range(j, 3):
             twice = 1.0 if j == k else 2.0
             both = hxx * a[j] * a[k] + hxy * (a[j] * b[k] + b[j] * a[k]) + hyy * b[j] * b[k]
-            d_covariances[g, entry] += twice * both
+            into.shapes[g, entry] += twice * both
             entry += 1
     dsx = dsy = dbu = dbv = 0.0
     for j in range(3):
@@ -278,26 +280,18 @@ def shape_backward(
 
 @compiled
 def view_backward(
-    mean: Array,
-    camera: Array,
-    harmonics: Array,
-    d_color: tuple,
-    tables: Array,
-    basis: Array,
-    slopes: Array,
-    ray: Array,
-    d_mean: Array,
-    d_harmonics: Array,
-    d_camera: Array,
+    scene: SceneArrays, view: CameraArrays, g: int, d_color: tuple, buffers: tuple, into: SceneArrays, d_camera: Array
 ) -> None:
     """Accumulate gradients of view-dependent colour; that of the constant harmonic is added by the caller."""
     red, green, blue = d_color
+    basis, slopes, ray = buffers
+    harmonics, d_mean, d_harmonics = scene.harmonics[g], into.means[g], into.harmonics[g]
     for j in range(3):
-        ray[j] = mean[j] - camera[12 + j]
+        ray[j] = scene.means[g, j] - view.camera[12 + j]
     norm = max(sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]), 1e-12)
     for j in range(3):
         ray[j] /= norm
-    harmonics_slopes(ray[0], ray[1], ray[2], tables, basis, slopes)
+    harmonics_slopes(ray[0], ray[1], ray[2], view.tables, basis, slopes)
     ex = ey = ez = 0.0
     for k in range(len(basis)):
         d_basis = red * harmonics[k, 0] + green * harmonics[k, 1] + blue * harmonics[k, 2]
@@ -331,22 +325,13 @@ def add_point(mean: Array, moved: tuple, lens: tuple, d_camera: Array) -> None:
 
 @compiled
 def project_backward(
-    means: Array,
-    covariances: Array,
-    harmonics: Array,
-    camera: Array,
-    limits: Array,
-    tables: Array,
+    scene: SceneArrays,
+    view: CameraArrays,
     start: int,
     stop: int,
-    splats: Array,
-    owners: Array,
-    ranks: Array,
+    sorted_splats: SortedSplats,
     moments: Array,
-    d_means: Array,
-    d_covariances: Array,
-    d_opacities: Array,
-    d_harmonics: Array,
+    into: SceneArrays,
     shaped: bool,
     posed: bool,
     d_camera: Array,
@@ -355,12 +340,15 @@ def project_backward(
 
     Unless ``shaped``, only those that colours have.
     """
+    means, harmonics, d_means, d_harmonics = scene.means, scene.harmonics, into.means, into.harmonics
+    camera, limits, tables = view
+    splats, owners, ranks = sorted_splats.data, sorted_splats.owners, sorted_splats.ranks
     r, t = camera[:9], camera[9:12]
     fx, fy = camera[15], camera[16]
     low_u, high_u, low_v, high_v = frustum(camera, limits)
     count = harmonics.shape[1]
     basis, slopes = np.full(count, tables[0, 0, 0]), np.zeros((count, 3))
-    ray = np.empty(3)
+    buffers = basis, slopes, np.empty(3)
     for i in range(start, stop):
         g, at = owners[i], ranks[i]
         # A channel that was clamped at 0 has no gradient; the splat stores the clamped value.
@@ -371,10 +359,7 @@ def project_backward(
         d_harmonics[g, 0, 1] += basis[0] * green
         d_harmonics[g, 0, 2] += basis[0] * blue
         if count > 1:
-            color = red, green, blue
-            view_backward(
-                means[g], camera, harmonics[g], color, tables, basis, slopes, ray, d_means[g], d_harmonics[g], d_camera
-            )
+            view_backward(scene, view, g, (red, green, blue), buffers, into, d_camera)
         if not shaped:
             continue
 
@@ -390,10 +375,10 @@ def project_backward(
         wx, wy = float(moments[at, 5]), float(moments[at, 6])
         gx, gy = -(xx * wx + xy * wy), -(xy * wx + yy * wy)
         h = covariance_gradient(xx, xy, yy, 0.5 * moments[at, 7], 0.5 * moments[at, 8], 0.5 * moments[at, 9])
-        d_opacities[g] -= moments[at, 4] / splats[at, OPACITY]
+        into.opacities[g] -= moments[at, 4] / splats[at, OPACITY]
 
         lens = sx, sy, bu, bv
-        dsx, dsy, dbu, dbv = shape_backward(r, covariances, g, h, lens, d_covariances, posed, d_camera)
+        dsx, dsy, dbu, dbv = shape_backward(r, scene, g, h, lens, into, posed, d_camera)
 
         du, dv = gx * fx, gy * fy
         dfx, dfy, dcx, dcy = gx * u + dsx / z, gy * v + dsy / z, gx, gy

@@ -6,6 +6,7 @@ reference counting would dominate.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,56 @@ summed = partial(_compiled, fastmath=CONTRACT | {"reassoc"})
 """Sums may be reordered, so that they compile to vector instructions; their order is still the same in every run."""
 
 Array = np.ndarray
+
+
+class Tiles(NamedTuple):
+    """The splats of each tile in a row of tiles, by :func:`tiles_of`; list ``i`` is ``offsets[i : i + 2]``."""
+
+    lists: Array
+    offsets: Array
+
+
+class Picture(NamedTuple):
+    """One view.
+
+    Args:
+        image: ``[5, H, W]``: red, green, blue, depth and transmittance.
+        last: ``[H, W]``: the last entry of the tile's list before the pixel was full; -1 for none.
+        d_image: The gradient of the image.
+    """
+
+    image: Array
+    last: Array
+    d_image: Array
+
+
+class SortedSplats(NamedTuple):
+    """The splats of one view.
+
+    Args:
+        data: ``[n, SPLAT]``, nearest first.
+        owners: ``[n]``: the Gaussian of each splat, ascending.
+        ranks: ``[n]``: the row in ``data`` of the splat of each of ``owners``.
+        lists: Splats of each row of tiles, nearest first, concatenated.
+        offsets: Where the list of each row of tiles begins and ends.
+    """
+
+    data: Array
+    owners: Array
+    ranks: Array
+    lists: Array
+    offsets: Array
+
+    def members(self, row: int) -> Array:
+        """Indices of the splats in a row of tiles, nearest first."""
+        return self.lists[self.offsets[row] : self.offsets[row + 1]]
+
+    def tiles(self, row: int, size: tuple[int, ...]) -> Tiles:
+        """The splats of each tile in a row of tiles of an image of a height and width."""
+        offsets, top = np.empty(-(-size[1] // WIDTH) + 1, np.int64), row * HEIGHT
+        bottom = min(HEIGHT, size[0] - top) - 1
+        return Tiles(tiles_of(self.data, self.members(row), top, bottom, size[1], offsets), offsets)
+
 
 HEIGHT, WIDTH = 32, 16
 """Of a tile in pixels: its planes fit into the L1 cache. A job is one row of tiles."""
@@ -188,18 +239,12 @@ WIDE = np.uint64(WIDTH)
 
 
 @compiled
-def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, image: Array, last: Array) -> None:
-    """Blend one row of tiles.
+def blend(splats: Array, tiles: Tiles, top: int, cap: float, image: Array, last: Array) -> None:
+    """Blend one row of tiles, whose first row of pixels is ``top``, into ``image`` and ``last`` of :class:`Picture`.
 
-    Args:
-        splats: ``[n, SPLAT]``.
-        lists: The splats of each tile; see :func:`~anystyle_cpu_renderer.raster.tiles_of`.
-        offsets: ``[columns + 1]``: where the list of each tile begins and ends.
-        top: The first row of pixels.
-        cap: The largest alpha of one splat in a pixel.
-        image: ``[5, H, W]``, written: red, green, blue, depth and transmittance.
-        last: ``[H, W]``, written: the last entry of the tile's list before the pixel was full; -1 for none.
+    ``cap`` is the largest alpha of one splat in a pixel.
     """
+    lists, offsets = tiles
     for column in range(offsets.shape[0] - 1):
         entries = lists[offsets[column] : offsets[column + 1]]
         blend_tile(splats, entries, top, column * WIDTH, cap, image, last)
@@ -277,27 +322,19 @@ def passing(tile: Array) -> np.float32:
 
 @compiled
 def blend_backward(
-    splats: Array,
-    lists: Array,
-    offsets: Array,
-    top: int,
-    cap: float,
-    image: Array,
-    last: Array,
-    d_image: Array,
-    moments: Array,
-    shaped: bool,
+    splats: Array, tiles: Tiles, top: int, cap: float, picture: Picture, moments: Array, shaped: bool
 ) -> None:
     """Accumulate ``moments [m, MOMENTS]`` of the splats of one row of tiles; other arguments as in :func:`blend`.
 
     Unless ``shaped``, only those of colours.
     """
+    lists, offsets = tiles
     for column in range(offsets.shape[0] - 1):
         entries = lists[offsets[column] : offsets[column + 1]]
         if shaped:
-            blend_tile_backward(splats, entries, top, column * WIDTH, cap, image, last, d_image, moments)
+            blend_tile_backward(splats, entries, top, column * WIDTH, cap, picture, moments)
         else:
-            color_tile_backward(splats, entries, top, column * WIDTH, cap, image, last, d_image, moments)
+            color_tile_backward(splats, entries, top, column * WIDTH, cap, picture, moments)
 
 
 @compiled
@@ -309,8 +346,9 @@ def scatter(members: Array, row_moments: Array, moments: Array) -> None:
 
 
 @compiled
-def tile_backward(top: int, left: int, image: Array, last: Array, d_image: Array) -> tuple[Array, int]:
+def tile_backward(top: int, left: int, picture: Picture) -> tuple[Array, int]:
     """The initial state of the backward pass through one tile, and the last entry that any of its pixels blended."""
+    image, last, d_image = picture
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
     # Planes: gradients of red, green, blue and depth, transmittance, gradient-weighted colour behind the current
     # splat, last entry, column, row.
@@ -335,18 +373,10 @@ def tile_backward(top: int, left: int, image: Array, last: Array, d_image: Array
 
 @summed
 def blend_tile_backward(
-    splats: Array,
-    entries: Array,
-    top: int,
-    left: int,
-    cap: float,
-    image: Array,
-    last: Array,
-    d_image: Array,
-    moments: Array,
+    splats: Array, entries: Array, top: int, left: int, cap: float, picture: Picture, moments: Array
 ) -> None:
     """Accumulate gradients of the splats ``entries`` of one tile; arguments as in :func:`blend_backward`."""
-    tile, deepest = tile_backward(top, left, image, last, d_image)
+    tile, deepest = tile_backward(top, left, picture)
     near = gather(splats, entries, deepest + 1, top, left)
     for entry in range(deepest, -1, -1):
         index, e = np.float32(entry), np.uint64(entry)
@@ -393,18 +423,10 @@ def blend_tile_backward(
 
 @summed
 def color_tile_backward(
-    splats: Array,
-    entries: Array,
-    top: int,
-    left: int,
-    cap: float,
-    image: Array,
-    last: Array,
-    d_image: Array,
-    moments: Array,
+    splats: Array, entries: Array, top: int, left: int, cap: float, picture: Picture, moments: Array
 ) -> None:
     """:func:`blend_tile_backward` for colours only, which is about half the work."""
-    tile, deepest = tile_backward(top, left, image, last, d_image)
+    tile, deepest = tile_backward(top, left, picture)
     near = gather(splats, entries, deepest + 1, top, left)
     for entry in range(deepest, -1, -1):
         index, e = np.float32(entry), np.uint64(entry)

@@ -12,6 +12,8 @@ from anystyle.geometry.harmonics import degree_of, normalisation
 from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer import stages
+from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
+from anystyle_cpu_renderer.raster import Picture
 
 
 class CpuRenderer(CappedRasterizer):
@@ -91,16 +93,15 @@ class _Splatting(torch.autograd.Function):
                     scene = scene._replace(shapes=ctx.kept[0][2])
                 else:
                     stages.shape(scene, run)
-                into = stages.SceneArrays._make(
-                    [*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)]
-                )
+                into = SceneArrays._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
                 for v, view in enumerate(views[b]):
                     if ctx.kept:
                         splats, tiles, _ = ctx.kept[0]
                     else:
                         splats, tiles = stages.project(scene, view, ctx.settings.height, run), []
-                    image, d_image = images[b, v].numpy(), grad_outputs[0][b, v].contiguous().numpy()
-                    moments = stages.blend_backward(splats, tiles, cap, image, ctx.last[b, v], d_image, shaped, run)
+                    d_image = grad_outputs[0][b, v].contiguous().numpy()
+                    picture = Picture(images[b, v].numpy(), ctx.last[b, v], d_image)
+                    moments = stages.blend_backward(splats, tiles, cap, picture, shaped, run)
                     d_camera = stages.project_backward(scene, view, splats, moments, into, shaped, posed, run)
                     _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))
                 if shaped:
@@ -109,19 +110,17 @@ class _Splatting(torch.autograd.Function):
         return *(total if wanted else None for total, wanted in zip(sums, needed, strict=True)), None
 
 
-def _read(
-    tensors: list[Tensor], settings: _Settings
-) -> tuple[list[stages.SceneArrays], list[list[stages.CameraArrays]]]:
+def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[SceneArrays], list[list[CameraArrays]]]:
     """The arguments of the kernels: the scenes, their covariances allocated but not computed, and the views of each."""
     *gaussians, poses, origins, intrinsics = (tensor.detach() for tensor in tensors)
     rows = [[tensor[b].contiguous().numpy() for tensor in gaussians] for b in range(len(poses))]
-    scenes = [stages.SceneArrays._make([*row, np.empty((len(row[0]), 6), np.float32)]) for row in rows]
+    scenes = [SceneArrays._make([*row, np.empty((len(row[0]), 6), np.float32)]) for row in rows]
     rotation, translation = poses[..., :3, :3].flatten(-2), poses[..., :3, 3]
     focal, center = intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], intrinsics[..., :2, 2]
     cameras = torch.cat([rotation, translation, origins, focal, center], dim=-1).contiguous().numpy()
     limits = np.array([settings.width, settings.height, settings.near, settings.far, settings.eps2d])
     tables = _tables(degree_of(gaussians[-1].shape[2]))
-    return scenes, [[stages.CameraArrays(camera, limits, tables) for camera in row] for row in cameras]
+    return scenes, [[CameraArrays(camera, limits, tables) for camera in row] for row in cameras]
 
 
 def _tables(degree: int) -> np.ndarray:

@@ -1,17 +1,18 @@
 """Describing images with an image-to-text model."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import torch
 from PIL import Image
 
 from anystyle.data.captions import read_captions
-from anystyle.data.images import SUFFIXES, open_image
+from anystyle.data.images import open_image
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_path
 from anystyle.types import OnProgress, Progress, no_progress
+from anystyle_datasets.files import caption_row, pictures_below, write_lines
 
 PROMPT = (
     "In 300 chars, give a precise description of image style visual features: exact color and brightness specs, "
@@ -29,11 +30,7 @@ Captioner = Callable[[Sequence[Image.Image], str], Sequence[str]]
 
 def transformers_captioner(model: str, device: str) -> Captioner:
     """A model of transformers' ``image-text-to-text`` pipeline, by its name on the hub or its folder."""
-    try:
-        from transformers import pipeline  # pyright: ignore[reportMissingImports]
-    except ModuleNotFoundError:
-        raise _needs_transformers() from None
-    describe = pipeline("image-text-to-text", model=model, device=device)
+    describe = _transformers().pipeline("image-text-to-text", model=model, device=device)
 
     def captions(images: Sequence[Image.Image], prompt: str) -> Sequence[str]:
         chats = [
@@ -47,12 +44,10 @@ def transformers_captioner(model: str, device: str) -> Captioner:
 
 def chat_captioner(model: str, device: str) -> Captioner:
     """A model whose page brings the code of a method ``chat``, as MiniCPM-V's do: that code is downloaded and run."""
-    try:
-        from transformers import AutoModel, AutoTokenizer  # pyright: ignore[reportMissingImports]
-    except ModuleNotFoundError:
-        raise _needs_transformers() from None
-    tokenizer = AutoTokenizer.from_pretrained(model, trust_remote_code=True)
-    network = AutoModel.from_pretrained(model, trust_remote_code=True, torch_dtype=torch.bfloat16).eval().to(device)
+    library = _transformers()
+    tokenizer = library.AutoTokenizer.from_pretrained(model, trust_remote_code=True)
+    network = library.AutoModel.from_pretrained(model, trust_remote_code=True, torch_dtype=torch.bfloat16)
+    network = network.eval().to(device)
 
     def captions(images: Sequence[Image.Image], prompt: str) -> Sequence[str]:
         chats = ([{"role": "user", "content": [image, prompt]}] for image in images)
@@ -61,8 +56,11 @@ def chat_captioner(model: str, device: str) -> Captioner:
     return captions
 
 
-def _needs_transformers() -> ImportError:
-    return ImportError('captions need transformers; pip install "anystyle[captions]"')
+def _transformers() -> Any:
+    try:
+        return import_module("transformers")
+    except ModuleNotFoundError:
+        raise ImportError('captions need transformers; pip install "anystyle[captions]"') from None
 
 
 def caption_folder(
@@ -79,7 +77,7 @@ def caption_folder(
     The file, ``.jsonl`` for ``styles=folder`` or lines ``path;text`` for ``styles=wikiart``, grows with every batch;
     captions in it are kept, so that an interrupted run is continued.
     """
-    names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.suffix.lower() in SUFFIXES)
+    names = [path.relative_to(root).as_posix() for path in pictures_below(root)]
     if not names:
         raise UserError(f"there are no pictures below {root}")
     texts = read_captions(out) if out.is_file() else {}
@@ -96,20 +94,11 @@ def caption_folder(
             answers = list(captioner(list(images.values()), prompt))
             if len(answers) != len(images):
                 raise UserError(f"the model gave {len(answers)} texts for {len(images)} pictures")
-            texts |= {name: tidy(text) for name, text in zip(images, answers, strict=True)}
-            _write(out, texts)
+            # In one line, without the file's separator.
+            tidy = (" ".join(text.replace(";", ",").split()) for text in answers)
+            texts |= dict(zip(images, tidy, strict=True))
+            as_json = out.suffix.lower() == ".jsonl"
+            write_lines(out, (caption_row(*row) if as_json else ";".join(row) for row in sorted(texts.items())))
         done = len(names) - len(left) + min(start + batch, len(left))
         on_progress(Progress.count("describing", done, len(names)))
     return failed
-
-
-def tidy(text: str) -> str:
-    """A caption in one line without the file's separator."""
-    return " ".join(text.replace(";", ",").split())
-
-
-def _write(out: Path, texts: Mapping[str, str]) -> None:
-    with atomic_path(out) as temporary, temporary.open("w", encoding="utf-8") as file:
-        for name, text in sorted(texts.items()):
-            row = json.dumps({"image": name, "text": text}, ensure_ascii=False)
-            file.write(f"{row}\n" if out.suffix.lower() == ".jsonl" else f"{name};{text}\n")

@@ -16,7 +16,7 @@ from PIL import Image
 
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
-from anystyle.data.images import SUFFIXES, image_size, listing, open_image
+from anystyle.data.images import image_size, listing, open_image
 from anystyle.data.names import matched
 from anystyle.data.poses import read_poses, stored_cameras
 from anystyle.data.scene_folder import FolderScenes
@@ -25,6 +25,7 @@ from anystyle.io.documents import read_json
 from anystyle.io.images import Picture
 from anystyle.registry.compose import override
 from anystyle.types import OnProgress, Progress, no_progress
+from anystyle_datasets.files import pictures_below
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
 
@@ -43,7 +44,7 @@ IMAGE_FOLDERS: dict[str, str | None] = {
 
 @dataclass
 class FolderReport:
-    """What a folder holds, the words (``use``) that train on it, and the command that it needs before, if any."""
+    """What a folder holds, the overrides (``use``) that train on it, and the command that it needs before, if any."""
 
     layout: Layout
     use: str
@@ -127,6 +128,11 @@ def words(**options: object) -> str:
     return shlex.join(f"{key}={text}" if plain.fullmatch(text) else override(key, text) for key, text in pairs)
 
 
+def prepare(kind: str, root: Path) -> str:
+    """The command that prepares a folder."""
+    return shlex.join(["anystyle", "data", "prepare", kind, str(root)])
+
+
 def _scenes(root: Path, min_views: int, decode: bool) -> FolderReport:
     index = "train_index.json" if (root / "train_index.json").is_file() else None
     names: list[str] = [] if index is None else read_json(root / index, list[str], what="JSON list of folder names")
@@ -134,19 +140,17 @@ def _scenes(root: Path, min_views: int, decode: bool) -> FolderReport:
     inside = [root, *(path for path in root.iterdir() if path.is_dir()), *(root / name for name in names), *nested]
     images = next((name for name in IMAGE_FOLDERS if any((path / name).is_dir() for path in inside)), "images")
     cameras = IMAGE_FOLDERS[images]
-    options: dict[str, object] = {"scenes": "folder", "scenes__root": root}
-    options |= {} if images == "images" else {"scenes__images": images}
-    options |= {} if index is None else {"scenes__index": index}
-    if cameras is not None:
-        options = {"scenes": "scannetpp", "scenes__root": root}
-    elif images in REDUCED and (index or nested):
-        options = {"scenes": "dl3dv", "scenes__root": root}
-        options |= {} if images == "images_8" else {"scenes__images": images}
+    source = "scannetpp" if cameras else "dl3dv" if images in REDUCED and (index or nested) else "folder"
+    options: dict[str, object] = {"scenes": source, "scenes__root": root}
+    if images != {"scannetpp": images, "dl3dv": "images_8", "folder": "images"}[source]:
+        options["scenes__images"] = images
+    if index and source == "folder":
+        options["scenes__index"] = index
     report = FolderReport("scenes", words(**options))
     report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
     archives = packed(root)
     if archives or nested:
-        report.prepare = shlex.join(["anystyle", "data", "prepare", "dl3dv", str(root)])
+        report.prepare = prepare("dl3dv", root)
         report.problems += [f"{len(archives)} scenes are packed, such as {archives[0]}"] if archives else []
         report.problems += [f"{root / 'train_index.json'} is not there"] if nested else []
     if nested or (archives and not names):
@@ -220,14 +224,14 @@ def _styles(root: Path, min_views: int, decode: bool) -> FolderReport:
     report = FolderReport("styles", words(styles="folder", styles__root=root))
     captions = captions_file(root)
     if captions is None:
-        report.prepare = shlex.join(["anystyle", "data", "prepare", "styles", str(root)])
+        report.prepare = prepare("styles", root)
         report.problems.append(f"{root / 'captions.jsonl'} is not there: the pictures have no texts")
     _described(image_files(root), root, captions or root / "captions.jsonl", report, decode)
     return report
 
 
 def _wikiart(root: Path, min_views: int, decode: bool) -> FolderReport:
-    paths = sorted(path for path in root.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    paths = pictures_below(root)
     report = FolderReport("wikiart", words(styles="wikiart", styles__root=root))
     if not (root / DESCRIPTIONS).is_file():
         report.problems.append(
@@ -237,7 +241,7 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> FolderReport:
         report.prepare = shlex.join(["anystyle", "data", "caption", str(root), "--trust-remote-code"])
     if exported(root) and not paths:
         report.problems.append(f"{len(exported(root))} tables of paintings are not unpacked")
-        report.prepare = shlex.join(["anystyle", "data", "prepare", "wikiart", str(root)])
+        report.prepare = prepare("wikiart", root)
     present = _described(paths, root, root / DESCRIPTIONS, report, decode)
     tests = root / TEST_FILES
     if tests.is_file():
@@ -294,10 +298,7 @@ def fingerprint(path: Path) -> int:
 
 
 def same_pictures(
-    paths: Sequence[Path],
-    others: Iterable[Path],
-    stage: str = "",
-    on_progress: OnProgress = no_progress,
+    paths: Sequence[Path], others: Iterable[Path], stage: str = "", on_progress: OnProgress = no_progress
 ) -> Mapping[Path, Path]:
     """For each file that shows the same as one of ``others``, the first such one; unreadable files match nothing."""
     known = _fingerprints(others)

@@ -11,13 +11,12 @@ from pathlib import Path
 from anystyle.cli.arguments import new_parser, parse, subcommand
 from anystyle.cli.progress import progress_lines
 from anystyle.contracts import Command
-from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder
-from anystyle.io.atomic import atomic_path
 from anystyle_datasets import preparing
 from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, chat_captioner, transformers_captioner
 from anystyle_datasets.checking import FolderReport, check, guess, locate, same_pictures, words
+from anystyle_datasets.files import pictures_below, write_lines
 from anystyle_datasets.preparing import ARCHIVE
 from anystyle_datasets.wikiart import DESCRIPTIONS
 
@@ -145,9 +144,7 @@ def _check_tables(root: Path) -> None:
 
 
 def _overlap(root: Path, tests: Path, write: Path | None) -> None:
-    train, test = (
-        sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES) for folder in (root, tests)
-    )
+    train, test = pictures_below(root), pictures_below(tests)
     if not test:
         raise UserError(f"--against {tests}: there are no pictures in it")
     both = same_pictures(train, test)
@@ -155,8 +152,7 @@ def _overlap(root: Path, tests: Path, write: Path | None) -> None:
     for path, other in both.items():
         print(f"          {path.relative_to(root)} is {other.relative_to(tests)}")
     if write is not None:
-        with atomic_path(write) as temporary:
-            temporary.write_text("".join(f"{path.relative_to(root).as_posix()}\n" for path in both), encoding="utf-8")
+        write_lines(write, (path.relative_to(root).as_posix() for path in both))
 
 
 def caption_command(arguments: argparse.Namespace) -> None:

@@ -16,7 +16,6 @@ from typing import Any, TypeVar
 import torch
 from av.error import FFmpegError
 from PIL import Image
-from torch import Tensor
 
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
@@ -28,6 +27,7 @@ from anystyle.io.atomic import PARTIAL, atomic_path, write_json
 from anystyle.io.documents import kept_json, read_text
 from anystyle.types import OnProgress, Progress
 from anystyle_datasets.checking import exported, packed, same_pictures, unindexed
+from anystyle_datasets.files import caption_row, pictures_below, write_lines
 from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, read_list
 
 log = logging.getLogger(__name__)
@@ -136,13 +136,9 @@ def _clip(root: Path, split: str, path: Path) -> dict[str, Any] | None:
             raise ValueError("a line that is not 19 finite numbers")
     except ValueError as error:
         raise UserError(f"{path} is not a camera list of RealEstate10K ({one_line(error)})") from None
-    stored = {
-        int(frame.stem): frame
-        for folder in (root / "frames" / split / path.stem, root / "frames" / path.stem)
-        if folder.is_dir()
-        for frame in image_files(folder)
-        if frame.stem.isdecimal()
-    }
+    folders = (root / "frames" / split / path.stem, root / "frames" / path.stem)
+    files = (frame for folder in folders if folder.is_dir() for frame in image_files(folder))
+    stored = {int(frame.stem): frame for frame in files if frame.stem.isdecimal()}
     identity = address.rpartition("=")[2].rpartition("/")[2].strip()
     films = [file for suffix in sorted(video.SUFFIXES) if (file := root / "videos" / f"{identity}{suffix}").is_file()]
     times = [time for time, _ in rows]
@@ -161,18 +157,13 @@ def _clip(root: Path, split: str, path: Path) -> dict[str, Any] | None:
         "url": address.strip(),
         "timestamps": torch.tensor(sorted(frames)),
         "cameras": torch.tensor([numbers for time, numbers in sorted(rows) if time in frames]),
-        "images": [_bytes(frames[time]) for time in sorted(frames)],
+        "images": [torch.frombuffer(bytearray(frames[time]), dtype=torch.uint8) for time in sorted(frames)],
     }
-
-
-def _bytes(data: bytes) -> Tensor:
-    return torch.frombuffer(bytearray(data), dtype=torch.uint8)
 
 
 def _encoded(source: Path | Image.Image) -> bytes:
     """A frame as JPEG or as it is stored, no larger than frames are."""
-    size = image_size(source) if isinstance(source, Path) else source.size
-    if isinstance(source, Path) and min(size) <= SHORT_SIDE:
+    if isinstance(source, Path) and min(image_size(source)) <= SHORT_SIDE:
         return source.read_bytes()
     picture = open_image(source) if isinstance(source, Path) else source.convert("RGB")
     scale = min(1.0, SHORT_SIDE / min(picture.size))
@@ -223,15 +214,15 @@ def wikiart(
             continue
         record = root / f"test_{name}.txt"
         if not record.is_file():
-            paintings = sorted(path for path in root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
-            others = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
+            others = pictures_below(folder)
             if not others:
                 raise UserError(f"--{name} {folder}: there are no pictures in it")
-            found = same_pictures(paintings, others, f"looking for the pictures of {folder}", on_progress)
-            _write_lines(record, (path.relative_to(root).as_posix() for path in found))
+            stage = f"looking for the pictures of {folder}"
+            found = same_pictures(pictures_below(root, PAINTINGS), others, stage, on_progress)
+            write_lines(record, (path.relative_to(root).as_posix() for path in found))
         held.update(read_list(record))
     if held != before:
-        _write_lines(root / TEST_FILES, sorted(held))
+        write_lines(root / TEST_FILES, sorted(held))
     missing = [name for name in (DESCRIPTIONS, TEST_FILES) if not (root / name).is_file()]
     return f"taken from the archive: {', '.join(taken) or 'nothing'}; {len(held)} test styles" + (
         f"; still missing: {', '.join(missing)}" if missing else ""
@@ -270,11 +261,6 @@ def _unpack_tables(root: Path, on_progress: OnProgress) -> None:
         on_progress(Progress.count("unpacking tables of paintings", number, len(tables)))
 
 
-def _write_lines(path: Path, lines: Iterable[str]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-
-
 def styles(root: Path, on_progress: OnProgress) -> str:
     """Write ``captions.jsonl`` with a line for each picture of a folder of styles, empty where nothing describes it."""
     paths = image_files(root)
@@ -283,8 +269,7 @@ def styles(root: Path, on_progress: OnProgress) -> str:
     file = captions_file(root)
     known = read_captions(file) if file else {}
     if file is None or any(path.name not in known for path in paths):
-        rows = ({"image": path.name, "text": known.get(path.name, "")} for path in paths)
-        _write_lines(root / "captions.jsonl", (json.dumps(row, ensure_ascii=False) for row in rows))
+        write_lines(root / "captions.jsonl", (caption_row(path.name, known.get(path.name, "")) for path in paths))
     return f"{sum(bool(known.get(path.name)) for path in paths)} of {len(paths)} pictures have a text"
 
 
@@ -324,8 +309,8 @@ def tables(
     taken = _take(
         archive, {DESCRIBED: root / DESCRIBED}, {"content": root / "content", "style_images": root / "styles"}
     )
-    absent = [scene for scene in SCENES if not (root / "content" / scene).is_dir()]
-    return f"{len(copies) + len(taken)} files laid out" + (f"; nothing of {', '.join(absent)}" if absent else "")
+    absent = ", ".join(scene for scene in SCENES if not (root / "content" / scene).is_dir())
+    return f"{len(copies) + len(taken)} files laid out" + (f"; nothing of {absent}" if absent else "")
 
 
 def _photographs(capture: Path) -> list[Path]:

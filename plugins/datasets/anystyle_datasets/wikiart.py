@@ -16,6 +16,7 @@ from anystyle.errors import UserError
 from anystyle.io.documents import read_text
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Style
+from anystyle_datasets.files import pictures_below
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +48,7 @@ class WikiArtStyles(StyleSource):
         exclude: Other files of that kind, for other test sets whose paintings no split has. A line without a folder
             is a file name, wherever it lies. ``anystyle data check ROOT --against FOLDER --write FILE`` makes one.
         files: A file of that kind with the paintings to take; ``None`` takes all.
-        split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` does not care.
+        split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` takes both.
         text_only: So many descriptions, from the first, are searched for styles without an image, as published; these
             follow the paintings.
         size: Height and width in pixels.
@@ -83,9 +84,7 @@ class WikiArtStyles(StyleSource):
         held = frozenset().union(*(read_list(Path(name), "exclude") for name in exclude))
         if split == "test" and not listed:
             raise UserError(f"split=test needs a list of paintings; {self.root / TEST_FILES} is not there or empty")
-        walked = (path for path in self.root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
-        names = sorted(path.relative_to(self.root).as_posix() for path in walked)
-        present = set(names)
+        names = sorted(path.relative_to(self.root).as_posix() for path in pictures_below(self.root, PAINTINGS))
         chosen = [name for name in names if split == "all" or (name in listed) == (split == "test")]
         if files is not None:
             allowed = frozenset(read_list(Path(files), "files"))
@@ -101,9 +100,8 @@ class WikiArtStyles(StyleSource):
         if not self.paths:
             raise UserError(f"root={root}: there are no paintings for split={split} in it")
         first = islice(self.descriptions, text_only if split != "test" else 0)
-        self.texts = tuple(
-            name for name in first if name not in present and name not in listed and not _named(name, held)
-        )
+        present = {*names, *listed}
+        self.texts = tuple(name for name in first if name not in present and not _named(name, held))
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -37,7 +37,7 @@ class Rasterizer(RendererOptions, Renderer):
 
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every camera of every scene."""
-        check(gaussians, cameras, self.background, self.near)
+        check(gaussians, cameras)
         device = gaussians.means.device
         if self.devices and device.type not in self.devices:
             raise UserError(
@@ -63,8 +63,8 @@ class CappedRasterizer(Rasterizer):
     alpha_cap: Share = 0.999
 
 
-def check(gaussians: Gaussians, cameras: Cameras, background: Sequence[float], near: float) -> None:
-    """Check that Gaussians and cameras belong together, and that the options make sense."""
+def check(gaussians: Gaussians, cameras: Cameras) -> None:
+    """Check that Gaussians and cameras belong together."""
     if gaussians.means.shape[0] != cameras.world_from_camera.shape[0]:
         raise UserError(
             f"Gaussians of {gaussians.means.shape[0]} scenes and cameras of {cameras.world_from_camera.shape[0]}; "
@@ -77,10 +77,6 @@ def check(gaussians: Gaussians, cameras: Cameras, background: Sequence[float], n
         )
     if min(cameras.size) < 1:
         raise UserError(f"an image of {cameras.size[0]}x{cameras.size[1]} pixels; expected at least 1x1")
-    if len(background) != 3:
-        raise UserError(f"a background of {len(background)} values; expected 3, one a channel in [0, 1]")
-    if not near > 0:
-        raise UserError(f"near is {near}; expected a distance above 0, such as 0.01")
     degree_of(gaussians.harmonics.shape[-2])
 
 

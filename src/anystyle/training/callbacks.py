@@ -83,9 +83,7 @@ class RunCheckpoint(Callback):
         if signum == signal.SIGINT:  # a second Ctrl-C ends at once
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
+    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any, **__: Any) -> None:
         # A checkpoint holds no gradients: nothing is saved while those of several batches are accumulated.
         if trainer.global_step == self._step:
             return
@@ -153,15 +151,13 @@ class MovingAverage(Callback):
         self.weights: dict[str, Tensor] = {}
 
     @torch.no_grad()
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
+    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any, **__: Any) -> None:
         decay = min(self.decay, (1 + trainer.global_step) / (10 + trainer.global_step))
         for name, parameter in _trainable(pl_module).items():
-            if name not in self.weights:
-                self.weights[name] = parameter.detach().clone()
-            else:
+            if name in self.weights:
                 self.weights[name].lerp_(parameter.detach(), 1 - decay)
+            else:
+                self.weights[name] = parameter.detach().clone()
 
     def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self.swap(pl_module)
@@ -195,9 +191,7 @@ class ProgressLines(Callback):
         self._last = self._start = time.monotonic()
         self._first_step = trainer.global_step
 
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
+    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any, **__: Any) -> None:
         now, step, total = time.monotonic(), trainer.global_step, trainer.max_steps
         if not trainer.is_global_zero or (now - self._last < 30 and step < total):
             return

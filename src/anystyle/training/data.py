@@ -3,7 +3,7 @@
 import logging
 import signal
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, Literal
 
 import lightning.pytorch as pl
@@ -50,53 +50,47 @@ class Batch(Value):
         return self.views.select(list(range(self.context)))
 
 
+@dataclass(eq=False)
 class SceneBatches:
     """Batches of scenes, with styles or without; most options are described by ``training=stylization``.
 
     Args:
         scenes: Source of the views.
         styles: Source of the styles; ``None`` for batches without styles.
-        seed: Of every draw.
-        target_views: Number of further views, for losses.
+        seed: Seed of every draw.
+        target_views: Number of additional views, for losses.
         multiple: Sides are multiples of it: the backbone's patch size.
         needs_style_image: Whether a style without an image is drawn again.
     """
 
-    def __init__(
-        self,
-        scenes: SceneSource,
-        styles: StyleSource | None = None,
-        *,
-        seed: int = 0,
-        batch_size: int | None = None,
-        images: int = 36,
-        context_views: Sequence[int] = (2, 18),
-        view_power: float = 2.0,
-        target_views: int = 0,
-        spread: Literal["any", "bounded"] = "bounded",
-        heights: Sequence[int] | None = None,
-        width: int | None = None,
-        multiple: int = 14,
-        flip: float = 0.0,
-        min_scale: float = 1.0,
-        needs_style_image: bool = False,
-        pool: int | None = None,
-    ) -> None:
-        low, high = bounds("context_views", context_views)
-        if heights is not None:
-            check_sides(*bounds("heights", heights), width=width, multiple=multiple)
-        if len(scenes) == 0:
+    scenes: SceneSource
+    styles: StyleSource | None = None
+    _: KW_ONLY
+    seed: int = 0
+    batch_size: int | None = None
+    images: int = 36
+    context_views: Sequence[int] = (2, 18)
+    view_power: float = 2.0
+    target_views: int = 0
+    spread: Literal["any", "bounded"] = "bounded"
+    heights: Sequence[int] | None = None
+    width: int | None = None
+    multiple: int = 14
+    flip: float = 0.0
+    min_scale: float = 1.0
+    needs_style_image: bool = False
+    pool: int | None = None
+
+    def __post_init__(self) -> None:
+        low, high = bounds("context_views", self.context_views)
+        if self.heights is not None:
+            check_sides(*bounds("heights", self.heights), width=self.width, multiple=self.multiple)
+        if len(self.scenes) == 0:
             raise UserError("the scene source holds no scene")
-        self.scenes, self.styles, self.seed = scenes, styles, seed
-        self.batch_size, self.images = batch_size, images
         self.counts = list(range(low, high + 1))
-        powers = np.asarray(self.counts, dtype=np.float64) ** view_power
+        powers = np.asarray(self.counts, dtype=np.float64) ** self.view_power
         self.probabilities = powers / powers.sum()
-        self.target_views = target_views
-        self.choose = {"any": any_views, "bounded": bounded_views}[spread]
-        self.heights, self.width, self.multiple = heights, width, multiple
-        self.flip, self.pool = flip, pool
-        self.min_scale, self.needs_style_image = min_scale, needs_style_image
+        self.choose = {"any": any_views, "bounded": bounded_views}[self.spread]
 
     def shape(self, step: int, world: int = 1) -> tuple[int, int]:
         """The number of scenes of ``step`` over all ``world`` processes, and of context views of each."""

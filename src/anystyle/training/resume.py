@@ -4,9 +4,8 @@ import json
 import logging
 import os
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from omegaconf import DictConfig, OmegaConf
@@ -36,8 +35,7 @@ class _Checkpoint(msgspec.Struct):
     loops: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Resumed:
+class Resumed(NamedTuple):
     """The checkpoint that a run is resumed from, and its optimizer steps."""
 
     path: Path
@@ -76,7 +74,7 @@ def resumable(config: DictConfig, last: Path) -> Resumed | None:
             checkpoint = msgspec.convert(read_tensors(path, what="checkpoint of a training"), _Checkpoint)
         except ValueError as error:
             known = isinstance(error, UserError)
-            problems.append(str(error) if known else f"{path} is no checkpoint of a training ({error})")
+            problems.append(str(error) if known else f"{path} is not a checkpoint of a training ({error})")
             continue
         for problem in problems:
             log.warning("%s; resuming from %s, the one before it", problem, path.name)

@@ -118,8 +118,8 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
         warnings.filterwarnings("ignore", module=r"lightning\..*")
         warnings.filterwarnings("ignore", message=".*LeafSpec.*")
         warnings.filterwarnings("ignore", message="This DataLoader will create .* worker processes")
+        path = None if resumed is None else resumed.path
         try:
-            path = None if resumed is None else resumed.path
             trainer.fit(training, datamodule=data, ckpt_path=path, weights_only=resumed is not None or None)
         except (RuntimeError, KeyError, TypeError, AttributeError) as error:
             if resumed is None or checkpoint.started:
@@ -173,16 +173,14 @@ def _trial(config: DictConfig, out: Path) -> Iterator[tuple[DictConfig, Path]]:
 def make_training(config: DictConfig) -> Training:
     """Build the training and the parts that its constructor names."""
     arguments = runtime_arguments(catalog().owner("training", str(config.training.get("_target_"))))
-    parts: dict[str, Any] = {}
-    if "stylizer" in arguments:
-        parts["stylizer"] = assemble(config, learns=True)[0]
+    parts: dict[str, Any] = {"stylizer": assemble(config, learns=True)[0]} if "stylizer" in arguments else {}
     if "backbone" in arguments:
         require_weights(config, learns=True)
-        parts["backbone"] = _with_weights(config, "backbone", build(Backbone, config.backbone))
-    if "style_encoder" in arguments:
-        parts["style_encoder"] = _with_weights(config, "style_encoder", build(StyleEncoder, config.style_encoder))
-    if "renderer" in arguments:
-        parts["renderer"] = build(Renderer, config.renderer)
+    for part, contract in (("backbone", Backbone), ("style_encoder", StyleEncoder), ("renderer", Renderer)):
+        if part in arguments:
+            parts[part] = build(contract, config[part])
+            if (weights := config.weights.get(part)) is not None:
+                load_part(weights_file(weights), parts[part], part)
     if "losses" in arguments:
         encoder = parts["stylizer"].style_encoder if "stylizer" in parts else None
         parts["losses"] = build_all(Loss, objective(config), style_encoder=encoder)
@@ -200,13 +198,6 @@ def objective(config: DictConfig) -> dict[str, Any]:
         catalog().find("loss", name)
     terms = (config.loss or {}).items()
     return {name: node for name, node in terms if name not in without and "_target_" in node}
-
-
-def _with_weights(config: DictConfig, part: str, module: nn.Module) -> nn.Module:
-    name = config.weights.get(part)
-    if name is not None:
-        load_part(weights_file(name), module, part)
-    return module
 
 
 def make_sources(config: DictConfig) -> dict[str, Any]:

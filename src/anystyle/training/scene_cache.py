@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ class CachedScenes(SceneSource):
 class EncodedScenes:
     """Encoded scenes by their key and image size, least recently used first out.
 
-    Every scene is encoded alone, whether or not it is cached: a batch is the same with and without the cache.
+    Every scene is encoded by itself, cached or not: a batch is the same with and without the cache.
     """
 
     def __init__(self, encode: Callable[[Views], Scene], limit: int) -> None:
@@ -89,14 +90,10 @@ class EncodedScenes:
         self._scenes: LRUCache[tuple[int, tuple[int, int]], Scene] = LRUCache(limit)
 
     def __call__(self, views: Views, keys: Sequence[int]) -> Scene:
-        """The scenes of a batch of views, one key a row."""
+        """The scenes of a batch of views, one key per row."""
         # The views of a key are the same each time, but their size may change from step to step.
-        return stack_scenes(
-            [
-                self._scenes.get((key, views.size), lambda row=row: self.encode(views.row(row)))
-                for row, key in enumerate(keys)
-            ]
-        )
+        rows = (((key, views.size), partial(self.encode, views.row(row))) for row, key in enumerate(keys))
+        return stack_scenes([self._scenes.get(key, encode) for key, encode in rows])
 
 
 def stack_scenes(scenes: Sequence[Scene]) -> Scene:

@@ -45,7 +45,7 @@ class StylizationTraining(Training):
         view_power: Numbers of views are drawn in proportion to this power of themselves.
         spread: ``any`` views of a scene, or the published ``bounded`` window of a video.
         heights: Least and greatest image height; ``None`` leaves images as they are.
-        width: Of the images; ``None`` keeps their aspect ratio.
+        width: Image width; ``None`` keeps the aspect ratio.
         flip: Probability of mirroring a scene.
         min_scale: Below 1, images are shrunk to a random scale from ``min_scale`` to 1 and enlarged again, which blurs
             them (published: 0.77).
@@ -55,14 +55,14 @@ class StylizationTraining(Training):
             image are drawn again.
         text_step_images: Whether losses on style images see them on steps whose styles are texts, as published.
         alternation: ``coin`` tosses for each step; ``strict`` spreads text steps evenly.
-        learning_rate: Of the head's copy and of its injectors.
+        learning_rate: The rate of the head's copy and of its injectors.
         aggregator_rate: Times ``learning_rate``, for the aggregator's copy.
         injector_rate: Times ``learning_rate``, for the aggregator's injectors; ``None`` takes ``aggregator_rate``, as
             published (the paper: 1).
         learn_copies: Whether the copied parts are trained beside the injectors; without, ``injector=lora`` is LoRA.
-        betas: Of AdamW.
+        betas: AdamW's betas.
         warmup: Steps of the warm-up.
-        weight_decay: Of all parameters.
+        weight_decay: AdamW's weight decay of all parameters.
         floor: The learning rate at the end.
         decay_steps: Length of the cosine; ``None`` means to the end of the training (published: 300 000).
         preview_every: Steps between two grids of styled renders; 0 draws none.
@@ -225,29 +225,18 @@ class StylizationTraining(Training):
 
 
 def branch_groups(
-    stylizer: Stylizer,
-    *,
-    lr: float,
-    aggregator_rate: float = 0.3,
-    injector_rate: float = 0.3,
+    stylizer: Stylizer, *, lr: float, aggregator_rate: float = 0.3, injector_rate: float = 0.3
 ) -> list[dict[str, Any]]:
     """Parameter groups: the head's copy and its injectors, the aggregator's copy and its injectors; rates times lr."""
-    branch = stylizer.branch
-    inside = {site.name for site in stylizer.backbone.aggregator.sites}
-    parts: dict[str, tuple[list[nn.Module | None], float]] = {
-        "head": ([branch.gaussian_head], 1.0),
-        "head injectors": ([branch.injectors[name] for name in branch.injectors if name not in inside], 1.0),
-        "aggregator": ([branch.aggregator], aggregator_rate),
-        "aggregator injectors": (
-            [branch.injectors[name] for name in branch.injectors if name in inside],
-            injector_rate,
-        ),
-    }
-    groups = [
-        {"params": trainable(module for module in modules if module is not None), "lr": lr * rate, "name": name}
-        for name, (modules, rate) in parts.items()
-    ]
-    return [group for group in groups if group["params"]]
+    branch, inside = stylizer.branch, {site.name for site in stylizer.backbone.aggregator.sites}
+    parts = (
+        ("head", [branch.gaussian_head], 1.0),
+        ("head injectors", [each for name, each in branch.injectors.items() if name not in inside], 1.0),
+        ("aggregator", [branch.aggregator], aggregator_rate),
+        ("aggregator injectors", [each for name, each in branch.injectors.items() if name in inside], injector_rate),
+    )
+    groups = ((name, trainable(each for each in modules if each is not None), rate) for name, modules, rate in parts)
+    return [{"params": parameters, "lr": lr * rate, "name": name} for name, parameters, rate in groups if parameters]
 
 
 @torch.no_grad()

@@ -90,8 +90,6 @@ def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B 
     weight is ``exp(c - max c) / (sum exp(c - max c) + 1e-6)`` over its voxel, and the voxel's mean the weighted sum.
     Differentiable in the points and confidences. Scenes are padded to one count; padding has mean 0 and no points.
     """
-    if voxel_size <= 0:
-        raise ValueError(f"voxel_size is {voxel_size}; it must be greater than 0")
     if not bool(points.isfinite().all()):
         raise ValueError("points to fuse are infinite or not a number; the predicted depth or cameras have diverged")
     cells = (points.detach() / voxel_size).round().long()

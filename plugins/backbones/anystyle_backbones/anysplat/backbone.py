@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -11,16 +12,17 @@ from torch import nn
 from anystyle import contracts
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
+from anystyle.nn.attention import Block
 from anystyle.published import Published
-from anystyle.ranges import AtLeastOne
+from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.anysplat.adapter import Adapter
-from anystyle_backbones.anysplat.heads import CameraHead, GaussianHead, GeometryHead
+from anystyle_backbones.anysplat.heads import CameraHead, GaussianHead
 from anystyle_backbones.anysplat.keys import AnySplatCheckpoints
-from anystyle_backbones.anysplat.transformer import Aggregator, Embedder
+from anystyle_backbones.anysplat.transformer import Aggregator, DinoV2, Embedder, Patches
 from anystyle_backbones.dpt import Dpt
-from anystyle_backbones.heads import check_options
+from anystyle_backbones.heads import GeometryHead, check_options
 from anystyle_backbones.reference_view import Strategy
 
 
@@ -77,27 +79,9 @@ class AnySplat(contracts.Backbone):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        return {
-            "resolution": 56,
-            "native_resolution": 56,
-            "dim": 32,
-            "embed_depth": 1,
-            "depth": 5,
-            "heads": 2,
-            "taps": (1, 2, 3, 4),
-            "camera_depth": 1,
-            "camera_heads": 2,
-            "depth_features": 16,
-            "depth_channels": (8, 8, 8, 8),
-            "depth_hidden": 8,
-            "gaussian_features": 16,
-            "gaussian_channels": (8, 8, 8, 8),
-            "gaussian_hidden": 8,
-            "sh_degree": 1,
-            "voxel_size": 0.02,
-            "scale_unit": 0.01,
-            "init": "scratch",
-        }
+        depths = {"embed_depth": 1, "depth": 5, "taps": (1, 2, 3, 4), "camera_depth": 1, "camera_heads": 2}
+        widths = {"depth_hidden": 8, "gaussian_features": 16, "gaussian_hidden": 8}
+        return {**initial.SMALL_NETWORK, **depths, **widths, "voxel_size": 0.02, "scale_unit": 0.01}
 
     def __init__(
         self,
@@ -131,7 +115,7 @@ class AnySplat(contracts.Backbone):
         sh_mode: Literal["reference", "dc_only"] = "reference",
         pixel_center: float = 0.0,
         fuse: bool = True,
-        voxel_size: float = 0.002,
+        voxel_size: Positive = 0.002,
         scale_unit: float = 0.001,
         scale_max: float = 0.3,
         chunk: AtLeastOne = 4,
@@ -145,50 +129,32 @@ class AnySplat(contracts.Backbone):
                 f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels"
             )
         self.patch_size, self.resolution = patch_size, resolution
-        self.embedder = Embedder(
-            embed=embed,
-            dim=dim,
-            depth=embed_depth,
-            heads=heads,
-            mlp_ratio=mlp_ratio,
-            registers=registers,
-            patch_size=patch_size,
-            grid=native_resolution // patch_size,
-            reference=reference,
+        block = partial(Block, mlp_ratio=mlp_ratio)
+        embedding = (block(dim, heads, layer_scale=1.0, eps=1e-6) for _ in range(embed_depth))
+        patches = (
+            DinoV2(dim, embedding, patch_size=patch_size, grid=native_resolution // patch_size)
+            if embed == "dino"
+            else Patches(dim, patch_size)
         )
+        self.embedder = Embedder(dim, patches, registers=registers, patch_size=patch_size, reference=reference)
+        aggregating = partial(block, dim, heads, layer_scale=layer_scale, qk_norm=True)
         self.aggregator = Aggregator(
-            dim=dim,
-            depth=depth,
-            heads=heads,
-            mlp_ratio=mlp_ratio,
-            layer_scale=layer_scale,
-            rope_base=rope_base,
-            taps=taps,
-            checkpointing=checkpointing,
+            dim, aggregating, depth=depth, rope_base=rope_base, taps=taps, checkpointing=checkpointing
         )
+        trunk = (block(2 * dim, camera_heads, layer_scale=layer_scale) for _ in range(camera_depth))
         self.geometry_head = GeometryHead(
-            camera=CameraHead(
-                dim=2 * dim,
-                depth=camera_depth,
-                heads=camera_heads,
-                mlp_ratio=mlp_ratio,
-                layer_scale=layer_scale,
-                iterations=camera_iterations,
-            ),
-            depth=Dpt(dim=2 * dim, features=depth_features, channels=depth_channels, hidden=depth_hidden, outputs=2),
+            CameraHead(2 * dim, trunk, iterations=camera_iterations, focal_epsilon=focal_epsilon),
+            Dpt(dim=2 * dim, features=depth_features, channels=depth_channels, hidden=depth_hidden, outputs=2),
             taps=taps,
             chunk=2 * chunk,
-            focal_epsilon=focal_epsilon,
             aligner=Aligner() if poses == "aligned" else None,
         )
+        outputs = 9 + 3 * (sh_degree + 1) ** 2
         dpt = Dpt(
-            dim=2 * dim,
-            features=gaussian_features,
-            channels=gaussian_channels,
-            hidden=gaussian_hidden,
-            outputs=9 + 3 * (sh_degree + 1) ** 2,
+            dim=2 * dim, features=gaussian_features, channels=gaussian_channels, hidden=gaussian_hidden, outputs=outputs
         )
-        self.gaussian_head = GaussianHead(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
+        direct = nn.Conv2d(3, dpt.width, 7, padding=3)
+        self.gaussian_head = GaussianHead(dpt, direct, sh_degree=sh_degree, taps=taps, chunk=chunk)
         self.adapter = Adapter(
             sh_degree=sh_degree,
             sh_mode=sh_mode,
@@ -209,6 +175,7 @@ def start_geometry(embedder: Embedder, head: GeometryHead) -> None:
     """Cameras at the origin and depth of about 1 (see :mod:`anystyle_backbones.scratch`)."""
     for token in (embedder.camera_token, embedder.register_token):
         nn.init.normal_(token, std=0.02)  # else the layer norms of the first block see no difference between views
+    assert isinstance(head.camera, CameraHead)
     step = torch.tensor([0, 0, 0, 0, 0, 0, 1, initial.FIELD_OF_VIEW, initial.FIELD_OF_VIEW]) / head.camera.iterations
     last = head.camera.pose_branch.fc2
     nn.init.normal_(last.weight, std=0.1 * initial.SMALL)

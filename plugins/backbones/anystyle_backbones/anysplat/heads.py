@@ -1,35 +1,25 @@
 """What is read off the tokens: cameras by VGGT's camera head, depth, and one raw Gaussian a pixel."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle import contracts
 from anystyle.nn.attention import Block, Mlp
 from anystyle.types import Attributes, Cameras
-from anystyle_backbones.aligner import Aligner
-from anystyle_backbones.dpt import Dpt
-from anystyle_backbones.heads import DptGaussians, DptGeometry, centred_cameras, rotation_of
+from anystyle_backbones.heads import CameraReader, DptGaussians, centred_cameras, rotation_of
 
 
-class CameraHead(nn.Module):
-    """Predicts each view's pose encoding from its camera token.
+class CameraHead(CameraReader):
+    """Predicts each view's pose encoding from its camera token, in ``iterations`` passes through ``trunk``."""
 
-    Options are explained at :class:`~anystyle_backbones.anysplat.AnySplat`.
-    """
-
-    def __init__(
-        self, *, dim: int, depth: int, heads: int, mlp_ratio: float, layer_scale: float, iterations: int
-    ) -> None:
+    def __init__(self, dim: int, trunk: Iterable[Block], *, iterations: int, focal_epsilon: float) -> None:
         super().__init__()
-        self.iterations = iterations
+        self.iterations, self.focal_epsilon = iterations, focal_epsilon
         self.token_norm = nn.LayerNorm(dim)
-        self.trunk = nn.ModuleList(
-            Block(dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale) for _ in range(depth)
-        )
+        self.trunk = nn.ModuleList(trunk)
         self.trunk_norm = nn.LayerNorm(dim)
         self.empty_pose_tokens = nn.Parameter(torch.zeros(1, 1, 9))
         self.embed_pose = nn.Linear(9, dim)
@@ -53,46 +43,20 @@ class CameraHead(nn.Module):
             passes.append(torch.cat([encoding[..., :7], encoding[..., 7:].relu()], dim=-1))
         return torch.stack(passes)
 
-
-def decode_pose(encoding: Float[Tensor, "B V 9"], size: tuple[int, int], *, focal_epsilon: float) -> Cameras:
-    """Cameras of images of ``size`` with the principal point in the middle."""
-    rotation = rotation_of(encoding)
-    origin = (-rotation.mT @ encoding[..., :3, None])[..., 0]
-    return centred_cameras(rotation.mT, origin, (encoding[..., 7:] / 2).tan() + focal_epsilon, size)
-
-
-class GeometryHead(DptGeometry[CameraHead], contracts.GeometryHead):
-    """The camera head and a DPT for depth; see :class:`anystyle_backbones.heads.DptGeometry`."""
-
-    def __init__(
-        self,
-        *,
-        camera: CameraHead,
-        depth: Dpt,
-        taps: Sequence[int],
-        chunk: int,
-        focal_epsilon: float,
-        aligner: Aligner | None = None,
-    ) -> None:
-        super().__init__(camera, depth, taps=taps, chunk=chunk, aligner=aligner)
-        self.focal_epsilon = focal_epsilon
-
     def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
-        return decode_pose(self.camera(tokens)[-1].float(), size, focal_epsilon=self.focal_epsilon)
+        encoding = self(tokens)[-1].float()
+        camera_from_world = rotation_of(encoding)
+        origin = (-camera_from_world.mT @ encoding[..., :3, None])[..., 0]
+        tangent = (encoding[..., 7:] / 2).tan() + self.focal_epsilon
+        return centred_cameras(camera_from_world.mT, origin, tangent, size)
 
 
-class GaussianHead(DptGaussians, contracts.GaussianHead):
-    """A DPT whose decoded map is joined by features of the image itself.
+class GaussianHead(DptGaussians):
+    """A DPT whose decoded map is joined by features of the image itself, which a convolution computes.
 
     The channels of the result: opacity (1), scale (3), quaternion xyzw (4), harmonics (3 K, colour-major), and the
     confidence (1) that weighs pixels where they are fused.
-
-    Options are explained at :class:`~anystyle_backbones.anysplat.AnySplat`.
     """
-
-    def __init__(self, dpt: Dpt, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
-        super().__init__(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
-        self.direct = nn.Conv2d(3, dpt.width, 7, padding=3)
 
     def image_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
         # Channels lie side by side, so that pixels as tokens are a view: nothing is copied, with or without style.

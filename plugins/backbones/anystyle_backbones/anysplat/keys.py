@@ -13,12 +13,11 @@ from anystyle.errors import UserError
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.io.checkpoint import fill
 from anystyle.published import Published
-from anystyle_backbones.published import checked_parts, dpt_rules, length, load_renamed, numbers, renamed
+from anystyle_backbones.published import checked_parts, count, decoder_options, dpt_rules, length, load_renamed, renamed
 
 _log = logging.getLogger(__name__)
 
-LAYOUT = "AnySplat and AnyStyle"
-PREFIXES = ("model.encoder.", "encoder.")
+LAYOUT, PUBLISHER = "AnySplat and AnyStyle", "AnySplat's or AnyStyle's"
 GAUSSIANS = "gaussian_param_head."
 BACKBONE_PARTS = ("aggregator.", "camera_head.", "depth_head.", GAUSSIANS)
 VGGT_PARTS = ("point_head.", "track_head.")
@@ -74,22 +73,19 @@ class AnySplatCheckpoints(Published):
 
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The tensors under their publishers' names, without the prefixes of their file."""
-        bare: dict[str, Tensor] = {}
-        for key, tensor in state.items():
-            bare[next((key.removeprefix(prefix) for prefix in PREFIXES if key.startswith(prefix)), key)] = tensor
+        bare = {re.sub(r"^(model\.)?encoder\.", "", key): tensor for key, tensor in state.items()}
         checked_parts(
             bare,
             (*BACKBONE_PARTS, *BRANCH_PARTS, *VGGT_PARTS, TEXT_ADAPTER),
-            publisher="AnySplat's or AnyStyle's",
+            publisher=PUBLISHER,
             advice="give the file of lhjiang/anysplat or a Lightning checkpoint of AnyStyle",
         )
         return bare
 
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         names = self.without_prefix(state)
-        options = options_of(names)
+        options, placement = options_of(names), _placement(names)
         config = {f"backbone.{name}": value for name, value in options.items()}
-        placement = _placement(names)
         config |= {"placement": placement} if placement else {"branch.sh_degree": options.get("sh_degree", 0)}
         if any(name.startswith(TEXT_ADAPTER) for name in names):
             config["style_encoder.text_adapter"] = True
@@ -99,11 +95,8 @@ class AnySplatCheckpoints(Published):
         """VGGT's file lacks the Gaussian head; AnyStyle's add a text adapter to the style encoder."""
         names = self.without_prefix(state)
         parts = {"backbone": any(name.startswith(GAUSSIANS) for name in names)}
-        if _placement(names) is not None:
-            parts["branch"] = True
-        if any(name.startswith(TEXT_ADAPTER) for name in names):
-            parts["style_encoder"] = False
-        return parts
+        parts |= {"branch": True} if _placement(names) else {}
+        return parts | ({"style_encoder": False} if any(name.startswith(TEXT_ADAPTER) for name in names) else {})
 
     def load(self, part: str, module: nn.Module, state: Mapping[str, Tensor]) -> None:
         """Load a part from any of the files.
@@ -111,13 +104,8 @@ class AnySplatCheckpoints(Published):
         Of VGGT's file, which is an initialisation, the Gaussian head stays as it is, and the log says so. A branch has
         ``zero_conv`` injectors, which take the widths of the checkpoint's.
         """
-        names = self.without_prefix(state)
-        if part == "backbone":
-            _load_backbone(module, names)
-        elif part == "branch":
-            _load_branch(module, names)
-        else:
-            _load_text_adapter(module, names)
+        loaders = {"backbone": _load_backbone, "branch": _load_branch, "style_encoder": _load_text_adapter}
+        loaders[part](module, self.without_prefix(state))
 
 
 def _placement(names: Mapping[str, Tensor]) -> Literal["head", "full"] | None:
@@ -201,9 +189,7 @@ def _load_text_adapter(encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
         fill(adapter, given)
 
 
-_length = partial(length, publisher="AnySplat's or AnyStyle's")
-PUBLISHED_TAPS = (4, 11, 17, 23)
-PUBLISHED_DEPTH = 24
+PUBLISHED_TAPS, PUBLISHED_DEPTH = (4, 11, 17, 23), 24
 
 
 def options_of(names: Mapping[str, Tensor]) -> dict[str, object]:
@@ -212,47 +198,32 @@ def options_of(names: Mapping[str, Tensor]) -> dict[str, object]:
     Which layers heads read cannot be seen: they are taken at the published fraction of the depth, rounded up. Heads of
     the camera head cannot either: there are as many as in the aggregator, as published.
     """
-    dim = _length(names, "aggregator.camera_token", 3)
+    of = partial(length, names, publisher=PUBLISHER)
+    dim = of("aggregator.camera_token", 3)
+    depth = count(names, "aggregator.frame_blocks.")
+    heads = dim // of("aggregator.frame_blocks.0.attn.q_norm.weight", 0)
     patches = "aggregator.patch_embed."
     has_dino = any(name.startswith(f"{patches}blocks.") for name in names)
-    patch_size = _length(names, f"{patches}patch_embed.proj.weight" if has_dino else f"{patches}proj.weight", 3)
-    depth = _count(names, "aggregator.frame_blocks.")
-    heads = dim // _length(names, "aggregator.frame_blocks.0.attn.q_norm.weight", 0)
+    patch_size = of(f"{patches}patch_embed.proj.weight" if has_dino else f"{patches}proj.weight", 3)
     options: dict[str, object] = {
         "patch_size": patch_size,
         "embed": "dino" if has_dino else "conv",
         "dim": dim,
         "depth": depth,
         "heads": heads,
-        "mlp_ratio": _length(names, "aggregator.frame_blocks.0.mlp.fc1.weight", 0) / dim,
-        "registers": _length(names, "aggregator.register_token", 2),
-        "taps": taps(depth),
-        "camera_depth": _count(names, "camera_head.trunk."),
+        "mlp_ratio": of("aggregator.frame_blocks.0.mlp.fc1.weight", 0) / dim,
+        "registers": of("aggregator.register_token", 2),
+        "taps": tuple(math.ceil(layer * (depth - 1) / (PUBLISHED_DEPTH - 1)) for layer in PUBLISHED_TAPS),
+        "camera_depth": count(names, "camera_head.trunk."),
         "camera_heads": heads,
-        **_decoder(names, "depth_head.", "depth"),
     }
     if has_dino:
-        options["native_resolution"] = math.isqrt(_length(names, f"{patches}pos_embed", 1) - 1) * patch_size
-        options["embed_depth"] = _count(names, f"{patches}blocks.")
-    if "gaussian_param_head.norm.weight" in names:
-        options |= _decoder(names, "gaussian_param_head.", "gaussian")
-        outputs = _length(names, "gaussian_param_head.scratch.output_conv2.2.weight", 0)
-        options["sh_degree"] = math.isqrt((outputs - 9) // 3) - 1
+        options["native_resolution"] = math.isqrt(of(f"{patches}pos_embed", 1) - 1) * patch_size
+        options["embed_depth"] = count(names, f"{patches}blocks.")
+    for part, option in (("depth_head", "depth"), ("gaussian_param_head", "gaussian")):
+        if option == "depth" or f"{part}.norm.weight" in names:
+            options |= decoder_options(of, part, option)
+            options[f"{option}_hidden"] = of(f"{part}.scratch.output_conv2.0.weight", 0)
+    if "gaussian_features" in options:
+        options["sh_degree"] = math.isqrt((of("gaussian_param_head.scratch.output_conv2.2.weight", 0) - 9) // 3) - 1
     return options
-
-
-def taps(depth: int) -> tuple[int, ...]:
-    """The published layers of 24, at the same fraction of another depth."""
-    return tuple(math.ceil(layer * (depth - 1) / (PUBLISHED_DEPTH - 1)) for layer in PUBLISHED_TAPS)
-
-
-def _decoder(names: Mapping[str, Tensor], part: str, option: str) -> dict[str, object]:
-    return {
-        f"{option}_features": _length(names, f"{part}scratch.layer1_rn.weight", 0),
-        f"{option}_channels": tuple(_length(names, f"{part}projects.{level}.weight", 0) for level in range(4)),
-        f"{option}_hidden": _length(names, f"{part}scratch.output_conv2.0.weight", 0),
-    }
-
-
-def _count(names: Mapping[str, Tensor], prefix: str) -> int:
-    return len(numbers(names, re.escape(prefix) + r"(\d+)\."))

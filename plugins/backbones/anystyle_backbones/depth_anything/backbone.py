@@ -12,17 +12,18 @@ from torch import nn
 from anystyle import contracts
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
+from anystyle.nn.attention import Block
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD
 from anystyle.published import Published
 from anystyle.ranges import AtLeastOne
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.depth_anything.adapter import Adapter
-from anystyle_backbones.depth_anything.heads import HIDDEN, CameraDecoder, GaussianHead, GeometryHead
+from anystyle_backbones.depth_anything.heads import CameraDecoder, GaussianHead, direct_layers
 from anystyle_backbones.depth_anything.keys import DepthAnythingCheckpoints
 from anystyle_backbones.depth_anything.transformer import Aggregator, Embedder
 from anystyle_backbones.dpt import Dpt
-from anystyle_backbones.heads import check_options
+from anystyle_backbones.heads import GeometryHead, check_options
 from anystyle_backbones.reference_view import Strategy
 
 
@@ -72,23 +73,8 @@ class DepthAnything(contracts.Backbone):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        return {
-            "resolution": 56,
-            "native_resolution": 56,
-            "dim": 32,
-            "depth": 8,
-            "heads": 2,
-            "ffn": "mlp",
-            "alternate_from": 3,
-            "layer_scale": 0.5,
-            "taps": (4, 5, 6, 7),
-            "depth_features": 16,
-            "depth_channels": (8, 8, 8, 8),
-            "gaussian_features": 32,
-            "gaussian_channels": (8, 8, 8, 8),
-            "sh_degree": 1,
-            "init": "scratch",
-        }
+        trunk = {"depth": 8, "alternate_from": 3, "taps": (4, 5, 6, 7), "ffn": "mlp", "layer_scale": 0.5}
+        return {**initial.SMALL_NETWORK, **trunk, "gaussian_features": 32}
 
     def __init__(
         self,
@@ -126,32 +112,13 @@ class DepthAnything(contracts.Backbone):
         check_options(dim=dim, heads=heads, taps=taps, first=alternate_from, depth=depth)
         if init == "scratch" and gaussian_features < 24:
             raise UserError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
-        self.patch_size = patch_size
-        self.resolution = resolution
-        self.embedder = Embedder(
-            dim=dim,
-            depth=alternate_from,
-            heads=heads,
-            ffn=ffn,
-            mlp_ratio=mlp_ratio,
-            layer_scale=layer_scale,
-            patch_size=patch_size,
-            grid=native_resolution // patch_size,
-            reference=reference,
-        )
-        self.aggregator = Aggregator(
-            dim=dim,
-            start=alternate_from,
-            depth=depth,
-            heads=heads,
-            ffn=ffn,
-            mlp_ratio=mlp_ratio,
-            layer_scale=layer_scale,
-            rope_base=rope_base,
-            taps=taps,
-            checkpointing=checkpointing,
-        )
-        decoder = partial(Dpt, dim=2 * dim, hidden=HIDDEN, rectified=False)
+        self.patch_size, self.resolution = patch_size, resolution
+        block = partial(Block, dim, heads, ffn=ffn, mlp_ratio=mlp_ratio, layer_scale=layer_scale, eps=1e-6)
+        grid, embedding = native_resolution // patch_size, (block() for _ in range(alternate_from))
+        self.embedder = Embedder(dim, embedding, patch_size=patch_size, grid=grid, reference=reference)
+        alternating = {layer: block(qk_norm=True) for layer in range(alternate_from, depth)}
+        self.aggregator = Aggregator(dim, alternating, rope_base=rope_base, taps=taps, checkpointing=checkpointing)
+        decoder = partial(Dpt, dim=2 * dim, hidden=32, rectified=False)
         self.geometry_head = GeometryHead(
             CameraDecoder(2 * dim),
             decoder(features=depth_features, channels=depth_channels, outputs=2),
@@ -161,7 +128,7 @@ class DepthAnything(contracts.Backbone):
         )
         outputs = 11 + 3 * (sh_degree + 1) ** 2
         dpt = decoder(features=gaussian_features, channels=gaussian_channels, outputs=outputs, normed=False)
-        self.gaussian_head = GaussianHead(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
+        self.gaussian_head = GaussianHead(dpt, direct_layers(dpt.width), sh_degree=sh_degree, taps=taps, chunk=chunk)
         self.adapter = Adapter(depth_along=depth_along, rotations=rotations, scale_min=scale_min, scale_max=scale_max)
         if init == "scratch":
             start_geometry(self.embedder, self.geometry_head)
@@ -177,6 +144,7 @@ def start_geometry(embedder: Embedder, geometry_head: GeometryHead) -> None:
     """Cameras at the origin and depth of about 1 (see :mod:`anystyle_backbones.scratch`)."""
     nn.init.normal_(embedder.cls_token, std=0.02)  # else layer norms see nothing but rounding
     decoder = geometry_head.camera
+    assert isinstance(decoder, CameraDecoder)
     for layer in (decoder.translation, decoder.quaternion, decoder.field_of_view):
         nn.init.normal_(layer.weight, std=0.1 * initial.SMALL)
         nn.init.zeros_(layer.bias)

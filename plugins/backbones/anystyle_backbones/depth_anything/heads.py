@@ -1,6 +1,5 @@
 """What is read off the tokens: cameras, depth, and one raw Gaussian a pixel."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
@@ -8,14 +7,12 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle import contracts
 from anystyle.nn.tokens import normalised
 from anystyle.types import Attributes, Cameras
-from anystyle_backbones.dpt import Dpt
-from anystyle_backbones.heads import DptGaussians, DptGeometry, centred_cameras, rotation_of
+from anystyle_backbones.heads import CameraReader, DptGaussians, centred_cameras, rotation_of
 
 
-class CameraDecoder(nn.Module):
+class CameraDecoder(CameraReader):
     """Reads pose encodings off camera tokens, in one pass."""
 
     def __init__(self, dim: int) -> None:
@@ -30,6 +27,9 @@ class CameraDecoder(nn.Module):
         x = self.trunk(tokens)
         return torch.cat([self.translation(x), self.quaternion(x), F.relu(self.field_of_view(x))], dim=-1)
 
+    def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
+        return decode_pose(self(tokens).float(), size)
+
 
 LEAST_TANGENT = 1e-6
 """Of half a field of view, so that the focal length of a field of 0 is finite."""
@@ -41,31 +41,19 @@ def decode_pose(encoding: Float[Tensor, "B V 9"], size: tuple[int, int]) -> Came
     return centred_cameras(rotation_of(encoding), encoding[..., :3], tangent, size)
 
 
-HIDDEN = 32
-"""Channels of decoders' last hidden layers, in every size."""
+def direct_layers(width: int) -> nn.Sequential:
+    """The layers that compute features of the image."""
+    widths = (3, width // 4, width // 2, width)
+    layers = [(nn.Conv2d(a, b, 3, padding=1), nn.GELU()) for a, b in pairwise(widths)]
+    return nn.Sequential(*(module for pair in layers for module in pair))
 
 
-class GeometryHead(DptGeometry[CameraDecoder], contracts.GeometryHead):
-    """The camera decoder and the decoder for depth."""
-
-    def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
-        return decode_pose(self.camera(tokens).float(), size)
-
-
-class GaussianHead(DptGaussians, contracts.GaussianHead):
+class GaussianHead(DptGaussians):
     """A decoder without a norm ahead of it, whose decoded map is joined by features of the image itself.
 
     The channels of the result: offset of the pixel (2), scale (3), quaternion (4), harmonics (3 K, colour-major),
     offset of the depth (1), opacity (1).
-
-    Options are explained at :class:`~anystyle_backbones.depth_anything.DepthAnything`.
     """
-
-    def __init__(self, dpt: Dpt, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
-        super().__init__(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
-        widths = (3, dpt.width // 4, dpt.width // 2, dpt.width)
-        layers = [(nn.Conv2d(a, b, 3, padding=1), nn.GELU()) for a, b in pairwise(widths)]
-        self.direct = nn.Sequential(*(module for pair in layers for module in pair))
 
     def image_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
         return self.direct(normalised(images)).flatten(2).mT

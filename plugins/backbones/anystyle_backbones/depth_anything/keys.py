@@ -14,9 +14,19 @@ from torch import Tensor, nn
 
 from anystyle.errors import UserError
 from anystyle.published import Published
-from anystyle_backbones.published import checked_parts, dpt_rules, length, load_renamed, numbers, renamed
+from anystyle_backbones.published import (
+    checked_parts,
+    count,
+    decoder_options,
+    dpt_rules,
+    length,
+    load_renamed,
+    numbers,
+    renamed,
+)
 
 LAYOUT = "Depth Anything 3; choose the preset of its size, such as backbone=depth_anything_base"
+PUBLISHER = "Depth Anything 3's"
 GAUSSIANS = "gs_head."
 PARTS = ("backbone.pretrained.", "head.", "cam_enc.", "cam_dec.", GAUSSIANS)
 UNUSED = re.compile(r"^(cam_enc\.|head\.scratch\.(refinenet\d|output_conv\d)_aux\.)")
@@ -52,7 +62,7 @@ class DepthAnythingCheckpoints(Published):
         checked_parts(
             bare,
             PARTS,
-            publisher="Depth Anything 3's",
+            publisher=PUBLISHER,
             advice="give the file of one of depth-anything/DA3-SMALL, DA3-BASE, DA3-LARGE, DA3-GIANT or "
             "DA3NESTED-GIANT-LARGE",
         )
@@ -84,7 +94,6 @@ class DepthAnythingCheckpoints(Published):
         load_renamed(module, given, names, what="backbone", layout=LAYOUT)
 
 
-_length = partial(length, publisher="Depth Anything 3's")
 TAPS = {12: (5, 7, 9, 11), 24: (11, 15, 19, 23), 40: (19, 27, 33, 39)}
 """The layers that heads read, by the published depth of the trunk: shapes do not tell them."""
 
@@ -94,43 +103,28 @@ def options_of(state: Mapping[str, Tensor]) -> dict[str, object]:
 
     Without a Gaussian head in it, they are of a network whose head is like the depth head and not yet trained.
     """
-    return _trunk(state) | _decoder(state, "head", "depth") | _gaussians(state)
-
-
-def _trunk(state: Mapping[str, Tensor]) -> dict[str, object]:
-    trunk = "backbone.pretrained."
-    dim, patch_size = (_length(state, f"{trunk}patch_embed.proj.weight", axis) for axis in (0, 3))
+    of, trunk = partial(length, state, publisher=PUBLISHER), "backbone.pretrained."
+    dim, patch_size = (of(f"{trunk}patch_embed.proj.weight", axis) for axis in (0, 3))
     start = min(numbers(state, rf"{re.escape(trunk)}blocks\.(\d+)\.attn\.q_norm\."), default=0)
-    depth = len(numbers(state, rf"{re.escape(trunk)}blocks\.(\d+)\."))
-    head_dim = _length(state, f"{trunk}blocks.{start}.attn.q_norm.weight", 0)
+    depth = count(state, f"{trunk}blocks.")
     gated = f"{trunk}blocks.0.mlp.w12.weight" in state
     options: dict[str, object] = {
         "patch_size": patch_size,
-        "native_resolution": patch_size * isqrt(_length(state, f"{trunk}pos_embed", 1) - 1),
+        "native_resolution": patch_size * isqrt(of(f"{trunk}pos_embed", 1) - 1),
         "dim": dim,
         "depth": depth,
-        "heads": dim // head_dim,
+        "heads": dim // of(f"{trunk}blocks.{start}.attn.q_norm.weight", 0),
         "ffn": "swiglu" if gated else "mlp",
         "alternate_from": start,
+        **decoder_options(of, "head", "depth"),
     }
     if not gated:
-        options["mlp_ratio"] = _length(state, f"{trunk}blocks.0.mlp.fc1.weight", 0) / dim
+        options["mlp_ratio"] = of(f"{trunk}blocks.0.mlp.fc1.weight", 0) / dim
     if depth in TAPS:
         options["taps"] = TAPS[depth]
-    return options
-
-
-def _decoder(state: Mapping[str, Tensor], part: str, name: str) -> dict[str, object]:
-    return {
-        f"{name}_features": _length(state, f"{part}.scratch.output_conv1.weight", 1),
-        f"{name}_channels": tuple(_length(state, f"{part}.projects.{level}.weight", 0) for level in range(4)),
-    }
-
-
-def _gaussians(state: Mapping[str, Tensor]) -> dict[str, object]:
     outputs = "gs_head.scratch.output_conv2.2.weight"
     if outputs not in state:
         untrained = {"depth_along": "z", "rotations": "camera", "init": "scratch"}
-        return _decoder(state, "head", "gaussian") | untrained
-    degree = isqrt((_length(state, outputs, 0) - 11) // 3) - 1
-    return {"sh_degree": degree} | _decoder(state, "gs_head", "gaussian")
+        return options | decoder_options(of, "head", "gaussian") | untrained
+    options["sh_degree"] = isqrt((of(outputs, 0) - 11) // 3) - 1
+    return options | decoder_options(of, "gs_head", "gaussian")

@@ -1,18 +1,18 @@
 """One transformer: an embedder of single views, and later blocks whose attention alternates."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from functools import partial
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block, run, start_as_dino
-from anystyle.nn.tokens import Rotary, grid_of, grid_positions, normalised, rotary
+from anystyle.nn.tokens import grid_of, grid_positions, normalised, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
+from anystyle_backbones.heads import positions
 from anystyle_backbones.reference_view import Strategy, is_reference, reference_view
 
 OFFSET = 0.1
@@ -28,19 +28,7 @@ class Embedder(contracts.Embedder):
     Options are explained at :class:`~anystyle_backbones.depth_anything.DepthAnything`. ``grid`` is in patches.
     """
 
-    def __init__(
-        self,
-        *,
-        dim: int,
-        depth: int,
-        heads: int,
-        ffn: Literal["mlp", "swiglu"],
-        mlp_ratio: float,
-        layer_scale: float,
-        patch_size: int,
-        grid: int,
-        reference: Strategy,
-    ) -> None:
+    def __init__(self, dim: int, blocks: Iterable[Block], *, patch_size: int, grid: int, reference: Strategy) -> None:
         super().__init__()
         self.patch_size, self.grid = patch_size, grid
         self.reference: Strategy = reference
@@ -48,9 +36,7 @@ class Embedder(contracts.Embedder):
         self.cls_token = nn.Parameter(torch.empty(1, 1, dim))
         self.camera_token = nn.Parameter(torch.empty(1, 2, dim))
         self.pos_embed = nn.Parameter(torch.empty(1, 1 + grid**2, dim))
-        self.blocks = nn.ModuleList(
-            Block(dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale, ffn=ffn, eps=1e-6) for _ in range(depth)
-        )
+        self.blocks = nn.ModuleList(blocks)
         nn.init.normal_(self.cls_token, std=1e-6)
         nn.init.normal_(self.camera_token, std=0.02)
         nn.init.trunc_normal_(self.pos_embed, std=0.02)
@@ -60,9 +46,9 @@ class Embedder(contracts.Embedder):
         """Embed sRGB images in [0, 1]."""
         tokens = self.patches(images)
         for block in self.blocks[:-1]:
-            tokens = self._local(block, tokens)
+            tokens = tokens.with_data(by_view(block, tokens.data))
         tokens = replace(tokens, reference=reference_view(images, tokens.data[:, :, 0], self.reference))
-        tokens = self._local(self.blocks[-1], tokens)
+        tokens = tokens.with_data(by_view(self.blocks[-1], tokens.data))
         camera = self.camera_token[0][1 - is_reference(tokens).long()].to(tokens.data.dtype)
         return tokens.with_data(torch.cat([camera[:, :, None], tokens.patches], dim=2))
 
@@ -76,17 +62,14 @@ class Embedder(contracts.Embedder):
         return Tokens(tokens.unflatten(0, (batch, views)), grid=grid, special=1)
 
     def positions(self, grid: tuple[int, int]) -> Float[Tensor, "1 L C"]:
-        """Position embeddings of the class token and of a grid, resampled from the stored one where it differs."""
-        if grid == (self.grid, self.grid):
-            return self.pos_embed
-        stored = self.pos_embed[:, 1:].float().mT.unflatten(2, (self.grid, self.grid))
-        rows, columns = ((side + OFFSET) / self.grid for side in grid)
-        resampled = F.interpolate(stored, scale_factor=(rows, columns), mode="bicubic")
-        return torch.cat([self.pos_embed[:, :1].float(), resampled.flatten(2).mT], dim=1)
+        """Position embeddings of the class token and of a grid."""
+        factors = [(side + OFFSET) / self.grid for side in grid]
+        return positions(self.pos_embed, grid, scale_factor=factors)
 
-    def _local(self, block: nn.Module, tokens: Tokens) -> Tokens:
-        views = tokens.data.shape[1]
-        return tokens.with_data(block(tokens.data.flatten(0, 1)).unflatten(0, (-1, views)))
+
+def by_view(function: Callable[[Tensor], Tensor], data: Float[Tensor, "B V P C"]) -> Float[Tensor, "B V P C"]:
+    """Apply a function to the tokens of each view."""
+    return function(data.flatten(0, 1)).unflatten(0, (-1, data.shape[1]))
 
 
 class Aggregator(contracts.Aggregator):
@@ -97,66 +80,45 @@ class Aggregator(contracts.Aggregator):
     halves. A tapped feature is the last local block's output and the normalised stream, side by side in the channels;
     its leading token, which cameras are read off, is not normalised.
 
-    Options are explained at :class:`~anystyle_backbones.depth_anything.DepthAnything`; ``start`` is ``alternate_from``.
+    Options are explained at :class:`~anystyle_backbones.depth_anything.DepthAnything`; ``blocks`` are by their index in
+    the trunk, the first being ``alternate_from``.
     """
 
     def __init__(
-        self,
-        *,
-        dim: int,
-        start: int,
-        depth: int,
-        heads: int,
-        ffn: Literal["mlp", "swiglu"],
-        mlp_ratio: float,
-        layer_scale: float,
-        rope_base: float,
-        taps: Sequence[int],
-        checkpointing: bool,
+        self, dim: int, blocks: Mapping[int, Block], *, rope_base: float, taps: Sequence[int], checkpointing: bool
     ) -> None:
         super().__init__()
-        self.dim, self.head_dim = dim, dim // heads
-        self.start, self.depth = start, depth
-        self.taps = tuple(taps)
-        self.rope_base = rope_base
-        self.checkpointing = checkpointing
-        # By their index in the trunk, as checkpoints name them.
-        self.blocks = nn.ModuleDict(
-            {
-                str(layer): Block(
-                    dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale, ffn=ffn, qk_norm=True, eps=1e-6
-                )
-                for layer in range(start, depth)
-            }
-        )
+        self.dim, self.rope_base, self.checkpointing = dim, rope_base, checkpointing
+        self.layers, self.taps = tuple(blocks), tuple(taps)
+        self.head_dim = dim // blocks[self.layers[0]].attn.heads
+        self.blocks = nn.ModuleDict({str(layer): block for layer, block in blocks.items()})
         self.norm = nn.LayerNorm(dim)
         start_as_dino(self.blocks)
 
     @property
     def sites(self) -> tuple[Site, ...]:
         """``aggregator/<block>``, ahead of every block."""
-        tapped = {self.start, *(max(self.start, layer - layer % 2) for layer in self.taps)}
-        return tuple(
-            Site(f"aggregator/{layer}", self.dim, tapped=layer in tapped) for layer in range(self.start, self.depth)
-        )
+        tapped = {self.layers[0], *(max(self.layers[0], layer - layer % 2) for layer in self.taps)}
+        return tuple(Site(f"aggregator/{layer}", self.dim, tapped=layer in tapped) for layer in self.layers)
 
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
         """Turn the stem into tapped features."""
-        batch, views = stem.data.shape[:2]
+        views = stem.data.shape[1]
+        places = grid_positions(stem.grid)
+        # Across views, as published: the leading token is at (0, 0), every patch at (1, 1).
         within, across = (
-            rotary(positions(stem.grid), self.head_dim, base=self.rope_base, like=stem.data)
-            for positions in (grid_positions, flat_positions)
+            rotary(each, self.head_dim, base=self.rope_base, like=stem.data) for each in (places, places.clamp_max(1))
         )
-        across = across.repeat(views)
+        apply = partial(run, recompute=self.checkpointing and self.training)
         tokens, local = stem, stem.data
         features: dict[int, Tokens] = {}
-        for layer in range(self.start, self.depth):
+        for layer in self.layers:
             tokens, block = inject(f"aggregator/{layer}", tokens), self.blocks[str(layer)]
             if layer % 2:
-                joint = self._run(block, tokens.data.flatten(1, 2), across)  # B VP C
+                joint = apply(block, tokens.data.flatten(1, 2), across.repeat(views))  # B VP C
                 tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
             else:
-                local = self._run(block, tokens.data.flatten(0, 1), within).unflatten(0, (batch, views))
+                local = by_view(partial(apply, block, angles=within), tokens.data)
                 tokens = tokens.with_data(local)
             if layer in self.taps:
                 features[layer] = self._tapped(local, tokens)
@@ -166,11 +128,3 @@ class Aggregator(contracts.Aggregator):
         leading = torch.cat([local[:, :, :1], tokens.data[:, :, :1]], dim=-1)
         patches = torch.cat([local[:, :, 1:], self.norm(tokens.patches)], dim=-1)
         return tokens.with_data(torch.cat([leading, patches], dim=2))
-
-    def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
-        return run(block, x, angles, recompute=self.checkpointing and self.training)
-
-
-def flat_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
-    """Positions across views, as published: the leading token at (0, 0), every patch at (1, 1)."""
-    return grid_positions(grid).clamp_max(1)

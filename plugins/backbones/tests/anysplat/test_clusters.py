@@ -72,8 +72,3 @@ def test_points_that_are_no_numbers_are_refused(bad: float) -> None:
     places[0, 1, 2] = bad
     with pytest.raises(ValueError, match="have diverged"):
         voxel_clusters(places, torch.zeros(1, 2), 0.1)
-
-
-def test_a_voxel_has_a_size() -> None:
-    with pytest.raises(ValueError, match="voxel_size is 0"):
-        voxel_clusters(torch.zeros(1, 2, 3), torch.zeros(1, 2), 0.0)

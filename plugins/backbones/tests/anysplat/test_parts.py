@@ -1,13 +1,16 @@
 """What the whole network's goldens leave out: tokens of another reference view, and styled parts at published width."""
 
+from functools import partial
+
 import torch
 
 from anystyle.injectors.zero_conv import ZeroConv
+from anystyle.nn.attention import Block
 from anystyle.types import Inject, Tokens
 from anystyle_backbones import dpt
 from anystyle_backbones.anysplat import keys
 from anystyle_backbones.anysplat.heads import GaussianHead
-from anystyle_backbones.anysplat.transformer import Aggregator, Embedder
+from anystyle_backbones.anysplat.transformer import Aggregator, Embedder, Patches
 from tests.support import anysplat_reference as reference
 from tests.support.oracle import assert_matches, golden, hashed
 
@@ -15,8 +18,7 @@ GOLDEN = golden("anystyle_golden")
 
 
 def test_the_reference_has_camera_and_register_tokens_of_its_own() -> None:
-    options = {"dim": 8, "depth": 0, "heads": 1, "mlp_ratio": 4.0, "registers": 4, "patch_size": 14, "grid": 1}
-    embedder = Embedder(embed="conv", reference="middle", **options)
+    embedder = Embedder(8, Patches(8, 14), registers=4, patch_size=14, reference="middle")
     stem = embedder(hashed(1, (2, 3, 3, 14, 28)))
     assert stem.special == 5 and stem.reference is not None and stem.reference.tolist() == [1, 1]
     own, shared = torch.cat([embedder.camera_token, embedder.register_token], dim=2)[0]
@@ -30,12 +32,13 @@ def with_injectors(injectors: torch.nn.ModuleDict) -> Inject:
 
 def test_styled_aggregator_at_full_width() -> None:
     record = GOLDEN["aggregator_injection_d5"]
-    options = {"mlp_ratio": 4.0, "layer_scale": 0.01, "rope_base": 100.0, "checkpointing": False}
+    make_block = partial(Block, 1024, 16, mlp_ratio=4.0, layer_scale=0.01, qk_norm=True)
+    options = {"depth": 5, "rope_base": 100.0, "taps": (0, 4), "checkpointing": False}
     # Five layers have five published injectors, of which those of layers 0 and 4 are called; the others only count.
     injectors = {f"aggregator/{layer}": ZeroConv(dim=1024, style_dim=512) for layer in (0, 4, 5, 6, 7)}
     parts = torch.nn.ModuleDict(
         {
-            "aggregator": Aggregator(dim=1024, depth=5, heads=16, taps=(0, 4), **options),
+            "aggregator": Aggregator(1024, make_block, **options),
             "injectors": torch.nn.ModuleDict(injectors),
         }
     )
@@ -50,7 +53,9 @@ def test_styled_aggregator_at_full_width() -> None:
 def test_styled_gaussian_head_at_full_width() -> None:
     record = GOLDEN["gs_head_style_full"]
     decoder = dpt.Dpt(dim=2048, features=256, channels=(256, 512, 1024, 1024), hidden=128, outputs=84)
-    head = GaussianHead(decoder, sh_degree=4, taps=(0, 1, 2, 3), chunk=4)
+    head = GaussianHead(
+        decoder, torch.nn.Conv2d(3, decoder.width, 7, padding=3), sh_degree=4, taps=(0, 1, 2, 3), chunk=4
+    )
     injectors = torch.nn.ModuleDict(
         {
             site.name: ZeroConv(dim=site.dim, style_dim=512, hidden=256 if site.name == "head/direct" else 1024)
