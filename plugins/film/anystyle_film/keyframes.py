@@ -15,7 +15,6 @@ is in seconds; ``fov`` is the vertical field of view in degrees, by default the 
 default the scene's.
 """
 
-from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -28,7 +27,7 @@ from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.io.documents import read_json
 from anystyle.types import Cameras
-from anystyle_film.scene import FilmedScene
+from anystyle_film.paths import FilmedScene
 
 MAX_SECONDS = 3600.0
 _Vector = tuple[float, float, float]
@@ -60,31 +59,24 @@ class Keyframes:
     """
 
     def __init__(self, file: str) -> None:
-        self.file = Path(file)
+        self.file = file
         self.document: KeyframesFile = read_json(file, KeyframesFile, what="file of keyframes")
         keys = self.document.keyframes
         self.times = np.array([key.time for key in keys]) - keys[0].time
-        for index, key in enumerate(keys):
-            self._check(index, key)
         self.seconds = float(self.times[-1]) or None
-
-    def _check(self, index: int, key: Keyframe) -> None:
-        where = f"{self.file}, keyframe {index + 1}"
-        if index and self.times[index] <= self.times[index - 1]:
-            raise UserError(f"{where}: time {key.time:g} is not after that of the one before; order them by time")
-        if (key.world_from_camera is None) == (key.position is None or key.look_at is None):
-            raise UserError(f"{where}: give either position and look_at, or world_from_camera")
-        if key.world_from_camera is None:
-            if key.position == key.look_at:
+        for index, key in enumerate(keys):
+            where = f"{file}, keyframe {index + 1}"
+            if index and self.times[index] <= self.times[index - 1]:
+                raise UserError(f"{where}: time {key.time:g} is not after that of the one before; order them by time")
+            given = [value is not None for value in (key.position, key.look_at, key.world_from_camera)]
+            if given not in ([True, True, False], [False, False, True]):
+                raise UserError(f"{where}: give either position and look_at, or world_from_camera")
+            if given[0] and key.position == key.look_at:
                 raise UserError(f"{where}: position and look_at are the same point")
-            return
-        if key.position is not None or key.look_at is not None:
-            raise UserError(f"{where}: give either position and look_at, or world_from_camera")
-        pose = np.array(key.world_from_camera)
-        turn = pose[:3, :3]
-        rigid = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3 and np.linalg.det(turn) > 0
-        if not rigid or (pose[3] != [0, 0, 0, 1]).any():
-            raise UserError(f"{where}: world_from_camera is not a rotation and translation above a row 0, 0, 0, 1")
+            pose = np.array(key.world_from_camera if given[2] else np.eye(4))
+            rigid = np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() < 1e-3 and np.linalg.det(pose[:3, :3]) > 0
+            if not rigid or (pose[3] != [0, 0, 0, 1]).any():
+                raise UserError(f"{where}: world_from_camera is not a rotation and translation above a row 0, 0, 0, 1")
 
     def __call__(self, scene: FilmedScene, frames: int) -> Cameras:
         """The cameras of the frames, evenly spaced in time."""

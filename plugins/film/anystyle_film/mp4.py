@@ -1,6 +1,7 @@
 """A film of a scene as MP4: frames along a path, in a projection, one at a time."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,24 +12,26 @@ from torch import Tensor
 
 from anystyle.contracts import Format, Renderer
 from anystyle.errors import UserError, did_you_mean
+from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
 from anystyle.io.video import write_video
 from anystyle.pipeline.load import default_device
 from anystyle.ranges import Positive, Range
 from anystyle.registry.build import build
 from anystyle.types import StyledScene
-from anystyle_film.equirectangular import Equirectangular, Vr180
 from anystyle_film.keyframes import Keyframes
 from anystyle_film.metadata import mark_video, save_still
-from anystyle_film.paths import CameraPath, orbit, smooth, spiral
-from anystyle_film.pinhole import Pinhole, Stereo
+from anystyle_film.paths import CameraPath, FilmedScene, orbit, smooth, spiral
 from anystyle_film.projection import Projection
-from anystyle_film.scene import FilmedScene
 
-FRAMES = 72
-MAX_FRAMES = 100_000
-STILLS = "stills"
+FRAMES, MAX_FRAMES = 72, 100_000
 PATHS = ("smooth", "orbit", "spiral")
+PROJECTIONS = {
+    "pinhole": Projection(),
+    "stereo": Projection(stereo=True),
+    "equirectangular": Projection(degrees=360),
+    "vr180": Projection(degrees=180, stereo=True),
+}
 
 
 class Mp4(Format):
@@ -66,12 +69,11 @@ class Mp4(Format):
         baseline: Positive | None = None,
     ) -> None:
         self.renderer, self.fps, self.scale, self.height, self.stills = renderer, fps, scale, height, stills
-        self.projection = _projection(kind, baseline)
-        keyframes = None if path in PATHS else _keyframes(path)
-        self.path: CameraPath = keyframes or _path(path, turns)
-        if turns is not None and path not in ("orbit", "spiral"):
-            raise UserError(f"video.turns={turns:g} has no meaning with video.path={path}; leave it out")
-        seconds = None if keyframes is None else keyframes.seconds
+        self.projection = replace(PROJECTIONS[kind], baseline=baseline)
+        if baseline is not None and not self.projection.stereo:
+            raise UserError(f"video.baseline={baseline:g} has no meaning with video.kind={kind}; leave it out")
+        self.path = _path(path, turns)
+        seconds = self.path.seconds if isinstance(self.path, Keyframes) else None
         duration = None if seconds is None else max(2, round(seconds * fps) + 1)
         if duration is not None and duration > MAX_FRAMES:
             raise UserError(f"{path}: {duration} frames at video.fps={fps}; a film has at most {MAX_FRAMES}")
@@ -93,45 +95,34 @@ class Mp4(Format):
         def frames() -> Iterator[Float[Tensor, "3 H W"]]:
             for index, frame in enumerate(self._frames(filmed, size)):
                 if index in kept:
-                    still = path.parent / STILLS / f"frame_{index:05d}.jpg"
-                    save_still(to_pil(frame), still, self.projection.layout)
+                    still = path.parent / "stills" / f"frame_{index:05d}.jpg"
+                    save_still(to_pil(frame), still, self.projection)
                 yield frame
 
-        write_video(frames(), path, fps=self.fps)
-        mark_video(path, self.projection.layout)
+        with atomic_path(path) as temporary:
+            write_video(frames(), temporary, fps=self.fps)
+            mark_video(temporary, self.projection)
 
     @torch.no_grad()
     def _frames(self, scene: FilmedScene, size: tuple[int, int]) -> Iterator[Float[Tensor, "3 H W"]]:
-        renderer = self.renderer or build(Renderer, "auto")
-        path = self.path(scene, self.frames)
+        renderer, path = self.renderer or build(Renderer, "auto"), self.path(scene, self.frames)
         for index in range(path.intrinsics.shape[1]):
             views = self.projection.views(scene, path.select([index]), size)
-            images = [
-                renderer(scene.gaussians, views.select([view])).color[0, 0].cpu()
-                for view in range(views.intrinsics.shape[1])
-            ]
+            each = (views.select([view]) for view in range(views.intrinsics.shape[1]))
+            images = [renderer(scene.gaussians, view).color[0, 0].cpu() for view in each]
             yield self.projection.frame(torch.stack(images), size)
 
 
-def _path(name: str, turns: float | None) -> CameraPath:
-    if name == "smooth":
-        return smooth
-    turns = turns if turns is not None else 1.0 if name == "orbit" else 2.0
-    if turns == 0:
-        raise UserError("video.turns=0; give turns of at most 100 either way, and not 0")
-    return partial(orbit if name == "orbit" else spiral, turns=turns)
-
-
-def _keyframes(path: str) -> Keyframes:
-    if Path(path).suffix.lower() != ".json":
+def _path(path: str, turns: float | None) -> CameraPath:
+    if path in ("orbit", "spiral"):
+        turns = turns if turns is not None else 1.0 if path == "orbit" else 2.0
+        if turns == 0:
+            raise UserError("video.turns=0; give turns of at most 100 either way, and not 0")
+        return partial(orbit if path == "orbit" else spiral, turns=turns)
+    if path != "smooth" and Path(path).suffix.lower() != ".json":
         near = did_you_mean(path, PATHS)
         raise UserError(f"video.path={path}; give {', '.join(PATHS)} or a .json file of keyframes.{near}")
-    return Keyframes(path)
-
-
-def _projection(kind: str, baseline: float | None) -> Projection:
-    if kind in ("stereo", "vr180"):
-        return Stereo(baseline) if kind == "stereo" else Vr180(baseline)
-    if baseline is not None:
-        raise UserError(f"video.baseline={baseline:g} has no meaning with video.kind={kind}; leave it out")
-    return Equirectangular() if kind == "equirectangular" else Pinhole()
+    found = smooth if path == "smooth" else Keyframes(path)
+    if turns is not None:
+        raise UserError(f"video.turns={turns:g} has no meaning with video.path={path}; leave it out")
+    return found
