@@ -50,11 +50,6 @@ def main() -> None:
         from importlib.metadata import version
 
         sys.stdout.write(f"anystyle {version('anystyle')}\n")
-    elif first in ("-sc", "--shell-completion"):
-        from anystyle.cli.launch import complete
-        from anystyle.cli.run import run
-
-        run(lambda: complete(available(), rest))
     elif first in COMMANDS:
         sys.argv = [sys.argv[0], *rest]
         try:
@@ -64,18 +59,21 @@ def main() -> None:
     else:
         from anystyle.cli.run import run
 
-        run(lambda: _of_plugin(first, rest))
+        run(lambda: _other(first, rest))
 
 
-def _of_plugin(word: str, rest: list[str]) -> None:
-    """Run the command that a plugin package adds."""
+def _other(word: str, rest: list[str]) -> None:
+    """Complete a shell's words, or run the command that a plugin package adds."""
+    if word in ("-sc", "--shell-completion"):
+        from anystyle.cli.launch import complete
+
+        return complete(available(), rest)
     from anystyle.contracts.command import Command
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog
 
     if word in catalog().names("command"):
-        build(Command, word)(rest)
-        return
+        return build(Command, word)(rest)
     known = list(available())
     what = "flag" if word.startswith("-") else "command"
     raise UserError(f"no {what} is named '{word}'.{did_you_mean(word, known)} Commands: {', '.join(known)}")

@@ -352,9 +352,6 @@ def test_messages():
     assert message(ImportError('reports need: pip install "anystyle[report]"')) is not None
     assert message(ModuleNotFoundError("No module named 'x'", name="x")) is None
     assert message(TypeError("a bug")) is None
-    with pytest.raises(SystemExit) as caught:
-        run(lambda: (_ for _ in ()).throw(KeyboardInterrupt()))
-    assert caught.value.code == 130
 
 
 def test_environment_and_arguments_are_put_back(tmp_path, monkeypatch, capsys):

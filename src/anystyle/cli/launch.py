@@ -75,7 +75,7 @@ def launch(
             return None
 
     run_hydra = hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)
-    with _arguments(words), _raising():
+    with _for_hydra(words):
         try:
             run_hydra(task)()
         except Exception as error:
@@ -123,32 +123,22 @@ def checked_seed(seed: object) -> int:
 
 
 @contextmanager
-def _arguments(words: Sequence[str]) -> Iterator[None]:
-    """Hydra reads the process's arguments, and so does whatever starts this process again for more devices."""
-    before = sys.argv
-    sys.argv = [before[0], *words]
-    try:
-        yield
-    finally:
-        sys.argv = before
+def _for_hydra(words: Sequence[str]) -> Iterator[None]:
+    """Hydra reads the process's arguments, and raises instead of printing an error and leaving with status 1.
 
-
-@contextmanager
-def _raising() -> Iterator[None]:
-    """Let Hydra raise instead of printing an error and leaving with status 1.
-
-    The processes that a training starts inherit both variables.
+    The processes that a training starts for more devices inherit both.
     """
     variables = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
-    before = {name: os.environ.get(name) for name in variables}
+    argv, before = sys.argv, {name: os.environ.get(name) for name in variables}
+    sys.argv = [argv[0], *words]
     os.environ.update(variables)
     try:
         yield
     finally:
+        sys.argv = argv
         for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
+            os.environ.pop(name, None)
+            if value is not None:
                 os.environ[name] = value
 
 

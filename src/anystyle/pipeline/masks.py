@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -183,7 +183,7 @@ def parsed(word: str) -> Mask:
         if shape is not None:
             numbers = [float(number) for number in rest.split(",")]
             values = iter(numbers)
-            parts = [tuple(islice(values, size)) if size > 1 else next(values, None) for size in shape.sizes]
+            parts: list[Any] = [tuple(islice(values, size)) if size > 1 else next(values, None) for size in shape.sizes]
             if len(numbers) == sum(shape.sizes):
                 return shape(*parts, **options)
     except ValueError as error:

@@ -111,11 +111,6 @@ class ExportOptions:
     formats: list[str] = field(default_factory=list)
     provenance: bool = True
 
-    @property
-    def folders(self) -> list[str]:
-        """Folders that a result has; where a capture's is in the way, that is refused before any work."""
-        return ["renders", *(["sparse"] if self.colmap != "none" else [])]
-
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))
         _expect("export.up", str(self.up), ("None", *AXES))

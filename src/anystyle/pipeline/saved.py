@@ -217,7 +217,7 @@ def _report(folder: Path) -> SavedReport:
 
 
 def read_gaussians(path: Path) -> Gaussians:
-    """Read what :func:`anystyle.pipeline.scene_files.save_gaussians` wrote."""
+    """Read what :func:`save_gaussians` wrote."""
     try:
         with safe_open(regular(path, most=None), framework="pt") as file:
             return Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})

@@ -96,7 +96,8 @@ def stylize(
     stages = stages or Stages()
     request.check()
     torch.manual_seed(request.seed)
-    with contextlib.nullcontext() if out is None else atomic_directory(out, request.export.folders) as folder:
+    folders = ("renders", "sparse")[: 1 + (request.export.colmap != "none")]  # refused where a capture's are in the way
+    with contextlib.nullcontext() if out is None else atomic_directory(out, folders) as folder:
         with stages("load", "the model"):
             loaded = load_model(request, **in_memory)
         with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
