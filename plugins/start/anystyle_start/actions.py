@@ -174,8 +174,8 @@ class Actions(AbstractContextManager["Actions"]):
                 numbers = [query.get(name, "") for name in ("offset", "total")]
                 if not all(number.isdecimal() for number in numbers):
                     raise UserError("an upload without a size; load the page again")
-                name, upload = query.get("name", ""), query.get("upload", "")
-                return {"name": self.uploads.receive(scene, name, upload, *map(int, numbers), body)}
+                name, upload, (offset, total) = query.get("name", ""), query.get("upload", ""), map(int, numbers)
+                return {"name": self.uploads.receive(scene, name, upload, offset, total, body)}
         text = body.read(_MAX_MESSAGE) or b"{}"
         match words:
             case ["scenes"]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from anystyle.io.process import kill
 from anystyle_start.library import ACTIVE, Job, Library, Record, Settings
@@ -18,7 +19,7 @@ PATIENCE = 15.0
 """Seconds that a process gets to clear away what it began."""
 
 
-def started(command: Sequence[str], **outputs: int) -> subprocess.Popen[str]:
+def spawned(command: Sequence[str], **outputs: Any) -> subprocess.Popen[str]:
     """A process of its own that gets no input; the ``outputs`` are text."""
     return subprocess.Popen(
         command, stdin=subprocess.DEVNULL, text=True, errors="replace", start_new_session=True, **outputs
@@ -110,7 +111,7 @@ class Jobs:
         with self._changed:
             if not self._ending:
                 # A program whose reader has gone ends at its next line: none outlives this one.
-                self._process = started(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+                self._process = spawned(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         if self._process is not None:
             self._follow(self._process, log, record)
             status = self._process.wait()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from anystyle_start.jobs import started
+from anystyle_start.jobs import spawned
 from anystyle_start.library import ERROR
 
 IDLE = 120
@@ -39,7 +39,7 @@ class Viewers:
             if viewer is None or viewer.process.poll() is not None:
                 options = ["--port", "0", "--keep", str(keep), "--close-after", str(IDLE)]
                 command = [*self.program, "view", str(results), *options, *words]
-                process = started(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+                process = spawned(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
                 viewer = self._viewers[scene] = ViewerProcess(process)
                 threading.Thread(target=_follow, args=(viewer,), daemon=True).start()
             return viewer

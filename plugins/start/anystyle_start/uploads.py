@@ -44,7 +44,7 @@ class Uploads:
 
     def __init__(self, library: Library) -> None:
         self.library, self._lock = library, threading.Lock()
-        self._kinds = {suffix: kind for kind, known in suffixes().items() for suffix in known}
+        self._kinds: dict[str, Uploaded] = {suffix: kind for kind, known in suffixes().items() for suffix in known}
 
     def receive(self, scene: str, name: str, upload: str, offset: int, total: int, part: BinaryIO) -> str | None:
         """Append a part of a file of :data:`PART` bytes at most; the last one checks and stores the file.

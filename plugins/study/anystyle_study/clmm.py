@@ -45,8 +45,7 @@ class OrdinalFit:
     df: float  # its degrees of freedom, those of the mean answer (:mod:`anystyle_study.statistics`)
     position: float  # ``delta``; 0 if ours was always shown on one side
     sds: dict[Population, float]  # ``sigma`` of each factor, in logits
-    thresholds: tuple[float, ...]  # the positive ones, ascending
-    loglikelihood: float  # laplace's approximation at the maximum
+    loglikelihood: float  # Laplace's approximation at the maximum
 
 
 class OrdinalModel:
@@ -174,7 +173,6 @@ def fit(responses: Responses) -> OrdinalFit:
         df=float(Crossing(factors=responses.factors).mean(responses.deviations).df),
         position=float(best[1]) if model.num_fixed > 1 else 0.0,
         sds=dict(zip(model.factors, sds.tolist(), strict=True)),
-        thresholds=tuple(np.cumsum(np.exp(best[model.num_fixed : -len(model.levels)])).tolist()),
         loglikelihood=model.loglikelihood(best)[0],
     )
 

@@ -48,9 +48,10 @@ def read_plan(overrides: Sequence[str]) -> Plan:
     options: dict[str, Any] = read_yaml(file, dict[str, Any], what="configuration of 'option: value' lines")
     try:
         merged = OmegaConf.merge(options, OmegaConf.from_dotlist(overrides))
-        return plan_from(OmegaConf.to_container(merged, resolve=False))
+        values: Any = OmegaConf.to_container(merged, resolve=False)
     except (OmegaConfBaseException, YAMLError) as error:
         raise UserError(f"{' '.join(overrides)}: {explain(error)}") from None
+    return plan_from(values)
 
 
 def build_tests(names: Sequence[str], overrides: Sequence[str], common: Mapping[str, Any]) -> dict[str, StudyTest]:

@@ -85,17 +85,17 @@ class Responses:
 
         Scenes and styles count as random from :data:`MIN_LEVELS` levels, unless every item has a level of its own.
         """
-        codes = {"participants": self.participants, "items": self.items} | self._shared
-        levels = {factor: np.unique(of, return_inverse=True)[1] for factor, of in codes.items()}
-        num = {factor: level.max(initial=0) for factor, level in levels.items()}
+        codes: dict[Population, np.ndarray] = {"participants": self.participants, "items": self.items}
+        codes = {factor: np.unique(of, return_inverse=True)[1] for factor, of in (codes | self._shared).items()}
+        num = {factor: level.max(initial=0) for factor, level in codes.items()}
         own = [factor for factor in self._shared if num[factor] == num["items"]]
-        return {factor: level for factor, level in levels.items() if num[factor] and factor not in own}
+        return {factor: level for factor, level in codes.items() if num[factor] and factor not in own}
 
     @property
     def _shared(self) -> dict[Population, np.ndarray]:
         """Scene and style of every answer, where enough of them were judged to count as random."""
         names: dict[Population, tuple[str, ...]] = {"scenes": self.item_scenes, "styles": self.item_styles}
-        judged = {factor: np.array(of)[self.items] for factor, of in names.items() if of}
+        judged: dict[Population, np.ndarray] = {name: np.array(of)[self.items] for name, of in names.items() if of}
         return {factor: of for factor, of in judged.items() if len(np.unique(of)) >= MIN_LEVELS}
 
     @property

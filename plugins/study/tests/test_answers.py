@@ -226,7 +226,7 @@ def test_words_without_a_score_are_listed_with_what_to_type(tmp_path, rows):
 
 
 def wide_of(rows, heading):
-    """One row a person: a column for each item and question, and for each item where ours was."""
+    """One row per person: a column for each item and question, and for each item where ours was."""
     people, items, questions = (list(dict.fromkeys(row[index] for row in rows)) for index in range(3))
     cells = {row[:3]: row[3:] for row in rows}
     columns = [(item, question) for item in items for question in questions]
