@@ -1,1 +1,1 @@
-"""File formats of Gaussian scenes, one a module."""
+"""File formats of Gaussian scenes, one per module."""

@@ -1,4 +1,4 @@
-"""One HTML file that shows a scene in its styles: 14 bytes a Gaussian, 3 more for each style; needs no network."""
+"""One HTML file that shows a scene in its styles: 14 bytes per Gaussian, 3 more for each style; needs no network."""
 
 import base64
 import gzip

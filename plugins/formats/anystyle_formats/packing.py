@@ -51,7 +51,7 @@ def smallest_three(quaternions: Float[np.ndarray, "N 4"]) -> tuple[NDArray[np.in
     return largest, (quaternions * signs)[np.arange(4) != largest[:, None]].reshape(-1, 3)
 
 
-def joined_bits(largest: NDArray[np.int64], others: NDArray[np.uint32]) -> NDArray[np.uint32]:
+def joined_bits(largest: NDArray[np.int64], others: NDArray[np.integer]) -> NDArray[np.uint32]:
     """An index of 2 bits and three numbers of 10 in 32 bits, from the highest bit on."""
     return (largest.astype(np.uint32) << 30 | others[:, 0] << 20 | others[:, 1] << 10 | others[:, 2]).astype("<u4")
 

@@ -22,6 +22,7 @@ from anystyle_formats.packing import columns_of, in_bytes, joined_bits, smallest
 from anystyle_formats.reading import gaussians, reading, room_for
 
 MAGIC, VERSION = 0x5053474E, 3
+_START = MAGIC.to_bytes(4, "little")
 MAX_FRACTION_BITS = 18
 """Fractional bits of a fixed-point coordinate; large scenes get fewer."""
 _COLOR_SCALE = 0.15
@@ -67,7 +68,7 @@ class Spz(Format):
 
 def _stated_up(data: bytes) -> str | None:
     """The axes that the record of an extension between the header of version 4 and the table names."""
-    at, end = (32, struct.unpack_from("<I", data, 16)[0]) if _is_zstd(data) and data[14] & 2 else (0, 0)
+    at, end = (32, struct.unpack_from("<I", data, 16)[0]) if data.startswith(_START) and data[14] & 2 else (0, 0)
     while at + 12 <= end:
         kind, size, value = struct.unpack_from("<III", data, at)
         if kind == _AXES:
@@ -78,13 +79,9 @@ def _stated_up(data: bytes) -> str | None:
     return None
 
 
-def _is_zstd(data: bytes) -> bool:
-    return data[:4] == MAGIC.to_bytes(4, "little")
-
-
 def decoded(data: bytes, remarks: Remarks) -> Gaussians:
     """The Gaussians of a file's content."""
-    packed = _is_zstd(data)
+    packed = data.startswith(_START)
     stream = zlib.decompressobj(31)
     header = data if packed else stream.decompress(data, 16)
     magic, version, count, degree, bits, _, streams = struct.unpack_from("<IIIBBBB", header)

@@ -2,7 +2,7 @@
 
 The schema is OpenUSD's since version 26.3 (openusd.org, "ParticleField3DGaussianSplat"): linear scales, opacities in
 [0, 1], quaternions wxyz, and spherical harmonics as 3DGS has them, Gaussian by Gaussian. What styles share is written
-once; what they differ in, as a rule colours alone, is in the variants of the set ``style``. The stage is y or z up.
+once; what they differ in, as a rule only colours, is in the variants of the set ``style``. The stage is y or z up.
 """
 
 import json

@@ -47,10 +47,9 @@ def write_transforms(folder, seen, **further):
     frames = [
         {"file_path": f"images/{index}.png", "transform_matrix": pose.tolist()} for index, pose in enumerate(poses)
     ]
-    lens = seen.intrinsics[0, 0]
-    shared = {"w": seen.size[1], "h": seen.size[0], "fl_x": float(lens[0, 0]), "fl_y": float(lens[1, 1])}
+    ((fx, _, cx), (_, fy, cy), _), (height, width) = seen.intrinsics[0, 0].tolist(), seen.size
+    shared = {"w": width, "h": height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
     folder.mkdir(parents=True, exist_ok=True)
-    shared |= {"cx": float(lens[0, 2]), "cy": float(lens[1, 2])}
     (folder / "transforms.json").write_text(json.dumps({**shared, **further, "frames": frames}))
 
 
@@ -74,9 +73,8 @@ def test_a_trained_run_is_read_where_its_cameras_are(tmp_path, monkeypatch, scen
     }
     schedulers = {"means": {"_last_lr": [np.float64(1e-4)]}}
     path = save(run / "nerfstudio_models" / "step-000000010.ckpt", state, schedulers=schedulers)
-    (run / "dataparser_transforms.json").write_text(
-        json.dumps({"transform": (model_from_saved @ APPLIED)[:3].tolist(), "scale": SCALE * APPLIED_SCALE})
-    )
+    stored = {"transform": (model_from_saved @ APPLIED)[:3].tolist(), "scale": SCALE * APPLIED_SCALE}
+    (run / "dataparser_transforms.json").write_text(json.dumps(stored))
     (run / "config.yml").write_text(
         "!!python/object:nerfstudio.engine.trainer.TrainerConfig\n"
         "_target: !!python/name:nerfstudio.engine.trainer.Trainer ''\n"
@@ -146,15 +144,10 @@ def test_export_is_a_data_folder_and_a_run(tmp_path, scene, capsys):
 
 
 def test_colours_without_harmonics_are_sigmoids(tmp_path):
-    zeros = torch.zeros(2, 3)
-    state = {
-        "_model.means": zeros,
-        "_model.scales": zeros,
-        "_model.quats": torch.ones(2, 4),
-        "_model.features_dc": torch.tensor([[0.0, 2.0, -2.0], [torch.nan, 0.0, 0.0]]),
-        "_model.features_rest": torch.zeros(2, 0, 3),
-        "_model.opacities": torch.zeros(2, 1),
-    }
+    state = {f"_model.{name}": torch.zeros(2, 3) for name in ("means", "scales")}
+    state |= {"_model.quats": torch.ones(2, 4), "_model.opacities": torch.zeros(2, 1)}
+    state["_model.features_dc"] = torch.tensor([[0.0, 2.0, -2.0], [torch.nan, 0.0, 0.0]])
+    state["_model.features_rest"] = torch.zeros(2, 0, 3)
     read = read_unturned(save(tmp_path / "old.ckpt", state), None)
     assert read.up == "z" and read.styles[0][1].means.shape[1] == 1  # the other one is not finite
     color = rgb_from_constant(read.styles[0][1].harmonics[0, 0, 0])
@@ -178,9 +171,8 @@ def test_untrusted_checkpoints_end_in_a_line(tmp_path, scene):
         with pytest.raises(UserError, match=message):
             read_unturned(path, None)
     good = save(tmp_path / "run" / "e.ckpt", state)
-    (good.parent / "dataparser_transforms.json").write_text(
-        '{"transform": [[2,0,0,0],[0,1,0,0],[0,0,1,0]], "scale": 1}'
-    )
+    stretched = {"transform": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1}
+    (good.parent / "dataparser_transforms.json").write_text(json.dumps(stretched))
     with pytest.raises(UserError, match="not hold a rotation"):
         read_unturned(good, None)
 

@@ -53,14 +53,11 @@ def test_pxr_reads_what_is_written_bit_for_bit(suffix, tmp_path):
     for name, (_, gaussians) in zip(names, upright.styles, strict=True):
         variants.SetVariantSelection(name)
         unit = torch.nn.functional.normalize(gaussians.rotations[0], dim=-1)
-        expected = {
-            "positions": gaussians.means[0],
-            "scales": gaussians.scales[0],
-            "opacities": gaussians.opacities[0],
-            "radiance:sphericalHarmonicsCoefficients": gaussians.harmonics[0].flatten(0, 1),
-        }
-        for attribute, values in expected.items():
-            np.testing.assert_array_equal(np.array(field.GetAttribute(attribute).Get()), values.numpy(), attribute)
+        names_of = {"positions": "means", "radiance:sphericalHarmonicsCoefficients": "harmonics"}
+        for attribute in ("positions", "scales", "opacities", "radiance:sphericalHarmonicsCoefficients"):
+            values = getattr(gaussians, names_of.get(attribute, attribute))[0].numpy()
+            found = np.array(field.GetAttribute(attribute).Get())
+            np.testing.assert_array_equal(found, values.reshape(found.shape), attribute)
         quaternions = field.GetAttribute("orientations").Get()
         found = [[each.GetReal(), *each.GetImaginary()] for each in quaternions]
         np.testing.assert_array_equal(np.array(found, np.float32), unit.numpy())
@@ -69,10 +66,9 @@ def test_pxr_reads_what_is_written_bit_for_bit(suffix, tmp_path):
     layer = stage.GetRootLayer()
     if suffix != "usdz":
         assert layer.GetAttributeAtPath("/Scene/Gaussians.positions") is not None
-        inside = layer.GetPrimAtPath("/Scene{style=unstyled}Gaussians").attributes
-        assert set(inside.keys()) == {
-            "orientations", "radiance:sphericalHarmonicsCoefficients", "radiance:sphericalHarmonicsDegree"
-        }  # fmt: skip
+        inside = layer.GetPrimAtPath("/Scene{style=unstyled}Gaussians").attributes.keys()
+        harmonics = ("radiance:sphericalHarmonicsCoefficients", "radiance:sphericalHarmonicsDegree")
+        assert set(inside) == {"orientations", *harmonics}
 
 
 def test_the_stage_says_where_it_comes_from_and_how_it_stands(tmp_path):
@@ -125,9 +121,8 @@ def test_cameras_see_what_they_saw(up, tmp_path):
     u, v, depth = (cameras.intrinsics[0, 0].double() @ point).tolist()
     assert x == pytest.approx(2 * u / depth / width - 1, abs=1e-4)
     assert y == pytest.approx(1 - 2 * v / depth / height, abs=1e-4)
-    views, sources, origin = cameras_of(
-        tmp_path / "scene.usda", found, ViewOptions(short_side=60), SplatOptions(), 1, 60
-    )
+    side = ViewOptions(short_side=60)
+    views, sources, origin = cameras_of(tmp_path / "scene.usda", found, side, SplatOptions(), 1, 60)
     assert origin == "stored beside it" and sources[0].name == "mine" and views.size == cameras.size
 
 

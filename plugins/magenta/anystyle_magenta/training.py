@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
 from anystyle.nn.words import with_made_up_word
 from anystyle.ranges import AtLeastOne, Count, Positive
 from anystyle.training.optim import decayed_adamw
@@ -46,7 +47,7 @@ class CaptionBatches:
         self.pool = len(styles) if pool is None else min(pool, len(styles))
         if self.pool < batch_size:
             raise UserError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
-        self._row = cache(self._read_row)
+        self._rows: LRUCache[int, tuple[str, Tensor]] = LRUCache(self.pool)
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> CaptionBatch:
         """The rows of ``step`` that process ``rank`` of ``world`` works on."""
@@ -55,11 +56,11 @@ class CaptionBatches:
 
     def read(self, rows: Sequence[int]) -> CaptionBatch:
         """Captions and vectors of some styles."""
-        texts, vectors = zip(*map(self._row, rows), strict=True)
+        texts, vectors = zip(*(self._rows.get(row, partial(self._row, row)) for row in rows), strict=True)
         return CaptionBatch(texts, torch.stack(vectors))
 
     @torch.no_grad()
-    def _read_row(self, row: int) -> tuple[str, Tensor]:
+    def _row(self, row: int) -> tuple[str, Tensor]:
         style = self.styles.read(row)
         if style.image is None or not style.text or not style.text[0]:
             raise UserError(f"style {row} lacks a picture or a caption; use styles=captioned")

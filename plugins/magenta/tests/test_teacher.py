@@ -22,12 +22,11 @@ def teacher():
 
 
 @pytest.fixture(scope="module")
+@torch.no_grad()
 def painted():
     """By the encoder and the injector of ``model=painter``."""
     vectors = MagentaEncoder().embed_images(STYLES)
-    network = MagentaInjector(dim=3, style_dim=100).network
-    with torch.no_grad():
-        return stylize_images(network, PHOTOGRAPHS, vectors, joint=True)
+    return stylize_images(MagentaInjector(dim=3, style_dim=100).network, PHOTOGRAPHS, vectors, joint=True)
 
 
 def test_what_the_painter_paints_is_perfect(teacher, painted):

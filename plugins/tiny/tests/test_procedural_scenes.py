@@ -40,9 +40,8 @@ def reprojection_error(views: Views) -> float:
     local = (ray * depth[0][..., None]) @ (cameras.camera_from_world[0, 1] @ cameras.world_from_camera[0, 0]).T
     x, y, z = local[..., 0], local[..., 1], local[..., 2]
     place = torch.stack([x / z * k[0, 0] + k[0, 2], y / z * k[1, 1] + k[1, 2]], -1) / size * 2 - 1
-    seen = torch.nn.functional.grid_sample(
-        torch.cat([views.images[0, 1], depth[1:]])[None], place[None], align_corners=False
-    )[0]
+    other = torch.cat([views.images[0, 1], depth[1:]])
+    seen = torch.nn.functional.grid_sample(other[None], place[None], align_corners=False)[0]
     visible = (place.abs() < 0.97).all(-1) & (z > 0) & ((seen[3] - z).abs() < 0.01 * z)
     assert visible.float().mean() > 0.25
     return (seen[:3] - views.images[0, 0]).abs().mean(0)[visible].median().item()
@@ -50,9 +49,8 @@ def reprojection_error(views: Views) -> float:
 
 def test_depth_and_poses_explain_the_colours_of_other_views():
     source = ProceduralScenes(size=64)
-    errors = [reprojection_error(source.read(scene, [1, 4])) for scene in range(8)]
-    assert np.median(errors) < 0.02
-    assert max(errors) < 0.05
+    errors = [reprojection_error(source.read(scene, [1, 4])) for scene in range(4)]
+    assert np.median(errors) < 0.02 and max(errors) < 0.05
 
 
 def lone_solid(shape, centre, half, angle=0.0):
@@ -95,14 +93,12 @@ INSIDE = {
 }
 
 
+def vectors(low, high):
+    return st.tuples(*[st.floats(low, high)] * 3)
+
+
 @settings(deadline=None)  # the first call compiles kernels
-@given(
-    st.sampled_from(sorted(INSIDE)),
-    st.floats(-3, 3),
-    st.tuples(*[st.floats(0.2, 1.5)] * 3),
-    st.tuples(*[st.floats(-3, 3)] * 3),
-    st.tuples(*[st.floats(-1, 1)] * 3),
-)
+@given(st.sampled_from(sorted(INSIDE)), st.floats(-3, 3), vectors(0.2, 1.5), vectors(-3, 3), vectors(-1, 1))
 def test_a_ray_meets_a_solid_where_it_enters_it(shape, angle, half, origin, aim):
     """March along the ray with the solid's implicit form: nothing before the hit is inside, what follows is."""
     solids = lone_solid(shape, (0.2, 0.1, -0.3), half, angle)[1]

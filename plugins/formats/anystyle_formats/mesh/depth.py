@@ -23,7 +23,7 @@ class DepthViews:
     """Rendered views of one scene.
 
     Args:
-        cameras: Of one scene.
+        cameras: A batch of one scene.
         color: In [0, 1].
         depth: Along the optical axis; 0 where there is no surface.
         agreed: Where other cameras see the same point at the same depth.

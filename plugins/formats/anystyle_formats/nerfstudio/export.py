@@ -50,7 +50,7 @@ def write_experiment(scene: StyledScene, folder: Path, final: Path, experiment: 
     write_json(run / TRANSFORMS, {"transform": torch.eye(4)[:3].tolist(), "scale": 1.0})
     # YAML that names nerfstudio's classes: what a class has as a plain default is left out, what it makes anew for
     # each instance has to be there. JSON's strings are YAML's.
-    template = Template((files(__package__) / "config.yml.in").read_text(encoding="utf-8"))
+    template = Template((files("anystyle_formats") / "nerfstudio" / "config.yml.in").read_text(encoding="utf-8"))
     values = {"experiment": experiment, "run": RUN, "output": str(final), "data": str(final / experiment / "data")}
     degree = max(1, round(gaussians.harmonics.shape[2] ** 0.5) - 1)
     text = template.substitute({name: json.dumps(value) for name, value in values.items()}, degree=degree)

@@ -51,8 +51,8 @@ class RunFrame(NamedTuple):
         data_from_model: From the model's coordinates to those of the cameras, or to the original ones.
         offset: What was taken off these coordinates, where they are far away.
         up: Axes of these coordinates, of those that files can have the ones nearest to the model's.
-        cameras: Of the photographs, a batch of one; empty where they are not found.
-        names: Of the cameras.
+        cameras: The photographs' cameras, a batch of one; empty where they are not found.
+        names: Names of the cameras.
     """
 
     data_from_model: Similarity

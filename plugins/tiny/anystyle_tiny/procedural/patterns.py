@@ -3,6 +3,8 @@
 A pattern is a function of the position in periods; its edges are as soft as a pixel is wide.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from anystyle.compiled import compiled
@@ -36,6 +38,13 @@ def _cell(x: float, y: float) -> tuple[int, int, float, float]:
 
 
 @compiled
+def _around(x: float, y: float) -> Iterator[tuple[int, int]]:
+    """The cell of the unit grid that holds a point, and its eight neighbours."""
+    for di, dj in np.ndindex(3, 3):
+        yield int(np.floor(x)) + di - 1, int(np.floor(y)) + dj - 1
+
+
+@compiled
 def _staggered(x: float, y: float) -> tuple[int, int, float, float]:
     """Like :func:`_cell`, with every other row moved by half a cell."""
     return _cell(x + 0.5 * (int(np.floor(y)) & 1), y)
@@ -62,10 +71,8 @@ def _dots(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
 
 @compiled
 def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
-    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, second, ci, cj = 1e9, 1e9, 0, 0
-    for di, dj in np.ndindex(3, 3):
-        i, j = ix + di - 1, iy + dj - 1
+    for i, j in _around(x, y):
         dx, dy = i + 0.15 + 0.7 * chance(i, j, salt) - x, j + 0.15 + 0.7 * chance(i, j, salt + 1) - y
         d = np.sqrt(dx * dx + dy * dy)
         if d < best:
@@ -105,11 +112,9 @@ def _hatching(x: float, y: float, foot: float, count: int, salt: int, noise: np.
 @compiled
 def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     """Dabs of paint along a slowly turning field, three layers deep."""
-    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.7
     for layer in range(2):
-        for di, dj in np.ndindex(3, 3):
-            i, j = ix + di - 1, iy + dj - 1
+        for i, j in _around(x, y):
             s = salt + 17 * layer
             rank = chance(i, j, s) + layer
             if rank <= best:
@@ -135,10 +140,8 @@ def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.nd
     """Strokes that curl around vortices."""
     x += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 0.1)
     y += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 2.1)
-    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, rx, ry, ci, cj = 1e9, 0.0, 0.0, 0, 0
-    for di, dj in np.ndindex(3, 3):
-        i, j = ix + di - 1, iy + dj - 1
+    for i, j in _around(x, y):
         dx, dy = x - i - 0.2 - 0.6 * chance(i, j, salt), y - j - 0.2 - 0.6 * chance(i, j, salt + 1)
         d = dx * dx + dy * dy
         if d < best:
@@ -158,9 +161,7 @@ def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.
     for level in range(3):
         s = 1.0 + 1.2 * level * level
         px, py = x * s, y * s
-        ix, iy = int(np.floor(px)), int(np.floor(py))
-        for di, dj in np.ndindex(3, 3):
-            i, j = ix + di - 1, iy + dj - 1
+        for i, j in _around(px, py):
             if chance(i, j, salt + level) > 0.7:
                 continue
             dx, dy = px - i - chance(i, j, salt + 11 + level), py - j - chance(i, j, salt + 23 + level)
@@ -181,10 +182,8 @@ def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.
 @compiled
 def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     """Triangles, bars and disks over each other, each of one flat colour."""
-    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.9
-    for di, dj in np.ndindex(3, 3):
-        i, j = ix + di - 1, iy + dj - 1
+    for i, j in _around(x, y):
         for k in range(2):
             s = salt + 13 * k
             rank = chance(i, j, s)

@@ -15,7 +15,7 @@ ROOM, EXTENT, LIGHT, NEARBY, SPREAD, SUN, ABOVE = 0, 1, 4, 7, 8, 9, 12
 BELOW, HORIZON, ZENITH, CLOUDS, HILLS, HILL_HEIGHT = 15, 18, 21, 24, 25, 28
 SETTING_COLUMNS = 29
 
-Tables = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+WorldArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Settings, solids, materials and the bytes of the volumes."""
 
 
@@ -108,7 +108,7 @@ def _direct(
 
 @compiled
 def shade(
-    tables: Tables, label: int, point: Vector, ray: Vector, footprint: float, jitter: Pair, known: float
+    tables: WorldArrays, label: int, point: Vector, ray: Vector, footprint: float, jitter: Pair, known: float
 ) -> tuple[float, float, float, float]:
     """Linear light that leaves a point toward the camera, and how open the point is to ambient light."""
     (g, solids, materials, bytes_), (x, y, z) = tables, point
@@ -197,7 +197,7 @@ def _bounds(solids: np.ndarray, pose: np.ndarray, focal: float, height: int, wid
 
 @compiled
 def cast(
-    tables: Tables,
+    tables: WorldArrays,
     pose: np.ndarray,
     focal: float,
     color: np.ndarray,

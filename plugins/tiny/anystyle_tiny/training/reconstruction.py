@@ -120,7 +120,7 @@ class ReconstructionTraining(Training):
             rendered = [step // self.render_every % batch.context, *range(batch.context, views.images.shape[1])]
             everything, count = (features, geometry, views), self.render_scenes
             some = pytree.tree_map_only(Tensor, lambda tensor: tensor[:count], everything)
-            losses |= self.render_losses(*some, rendered)
+            losses |= self.render_losses(some[0], some[1], some[2], rendered)
         total = self.total(losses)
         self.log("train/loss", total, batch_size=rows, prog_bar=True)
         self.log_dict({f"train/{name}": loss for name, loss in losses.items()}, batch_size=rows)

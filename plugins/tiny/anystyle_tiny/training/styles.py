@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import partial
 
 import torch
 import torch.nn.functional as F
@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
 from anystyle.training.sampling import generator
 from anystyle.types import Value
 from anystyle_tiny.procedural.captions import SCALES
@@ -83,7 +84,8 @@ class StyleBatches:
         self.pool = len(source) if pool is None else min(pool, len(source))
         if self.pool < batch_size:
             raise UserError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
-        self._style, self._photo = cache(self._read_style), cache(self._read_photo)
+        self._styles: LRUCache[int, tuple[Tensor, str, Tensor]] = LRUCache(self.pool)
+        self._photos: LRUCache[int, Tensor] = LRUCache(PHOTO_POOL)
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> StyleBatch:
         """The rows of ``step`` that process ``rank`` of ``world`` works on."""
@@ -91,7 +93,8 @@ class StyleBatches:
         styles = rng.choice(self.pool, self.batch_size, replace=False)[rank::world].tolist()
         scenes = rng.integers(0, PHOTO_POOL, self.photos)[rank::world].tolist()
         texts = rng.integers(0, len(PHOTO_TEXTS), self.photos)[rank::world].tolist()
-        batch, photos = self._styles_only(styles), [self._photo(photo) for photo in scenes]
+        batch = self._styles_only(styles)
+        photos = [self._photos.get(photo, partial(self._photo, photo)) for photo in scenes]
         if photos and photos[0].shape != batch.images.shape[1:]:
             (height, width), (h, w) = batch.images.shape[-2:], photos[0].shape[-2:]
             raise UserError(
@@ -110,17 +113,18 @@ class StyleBatches:
         return self._styles_only(range(min(count, self.pool)))
 
     def _styles_only(self, styles: Sequence[int]) -> StyleBatch:
-        images, texts, traits = zip(*(self._style(style) for style in styles), strict=True)
+        rows = (self._styles.get(style, partial(self._style, style)) for style in styles)
+        images, texts, traits = zip(*rows, strict=True)
         pictures = torch.stack(images).float() / 255
         return StyleBatch(pictures, texts, torch.stack(traits), photos=pictures[:0], photo_texts=())
 
-    def _read_style(self, style: int) -> tuple[Tensor, str, Tensor]:
+    def _style(self, style: int) -> tuple[Tensor, str, Tensor]:
         source, traits = self.styles.read(style), self.styles.traits(style)
         assert source.image is not None and source.text is not None
         answers = torch.tensor([getattr(traits, name) for name in TRAITS])
         return (source.image[0] * 255).round().byte(), source.text[0], answers
 
-    def _read_photo(self, photo: int) -> Tensor:
+    def _photo(self, photo: int) -> Tensor:
         scene = photo % len(self.scenes)
         view = photo // len(self.scenes) % self.scenes.num_views(scene)
         return (self.scenes.read(scene, [view]).images[0, 0] * 255).round().byte()
