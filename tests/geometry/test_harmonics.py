@@ -6,13 +6,7 @@ import torch
 from scipy.special import sph_harm_y
 from torch.nn.functional import normalize
 
-from anystyle.geometry.harmonics import (
-    basis,
-    colors,
-    degree_of,
-    rgb_from_constant,
-    rotate,
-)
+from anystyle.geometry.harmonics import basis, colors, degree_of, rgb_from_constant, rotate
 from anystyle.geometry.transforms import matrix_from_wxyz
 from tests.support.oracle import golden
 

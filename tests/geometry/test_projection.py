@@ -25,6 +25,13 @@ def pinhole(point: Tensor, intrinsics: Tensor) -> Tensor:
     return (intrinsics @ (point / point[2]))[:2]
 
 
+def linear_conic(point: Tensor, shape: Tensor, intrinsics: Tensor) -> Tensor:
+    """The inverse of a covariance that goes through the Jacobian of the pinhole camera at a point."""
+    jacobian = torch.autograd.functional.jacobian(lambda p: pinhole(p, intrinsics), point)
+    inverse = torch.linalg.inv(jacobian @ shape @ jacobian.T + 0.3 * torch.eye(2, dtype=torch.float64))
+    return torch.stack([inverse[0, 0], inverse[0, 1], inverse[1, 1]])
+
+
 def test_splats_are_the_linear_image() -> None:
     """In the frustum, the covariance goes through the Jacobian of the pinhole camera at the centre."""
     splats, local, shapes, _, intrinsics = projected(distance=3.0)
@@ -33,10 +40,7 @@ def test_splats_are_the_linear_image() -> None:
     torch.testing.assert_close(splats.depths, local[:, 2])
     torch.testing.assert_close(splats.means, torch.stack([pinhole(point, intrinsics) for point in local]))
     for conic, point, shape in zip(splats.conics, local, shapes, strict=True):
-        jacobian = torch.autograd.functional.jacobian(lambda p: pinhole(p, intrinsics), point)
-        covariance = jacobian @ shape @ jacobian.T + 0.3 * torch.eye(2, dtype=torch.float64)
-        inverse = torch.linalg.inv(covariance)
-        torch.testing.assert_close(conic, torch.stack([inverse[0, 0], inverse[0, 1], inverse[1, 1]]))
+        torch.testing.assert_close(conic, linear_conic(point, shape, intrinsics))
 
 
 def test_outside_of_the_frustum_the_slope_is_bounded() -> None:
@@ -51,10 +55,7 @@ def test_outside_of_the_frustum_the_slope_is_bounded() -> None:
     assert 5 < outside.sum() < len(outside)
     for i in outside.nonzero()[:, 0]:
         point = torch.cat([bounded[i], torch.ones(1, dtype=torch.float64)]) * local[i, 2]
-        jacobian = torch.autograd.functional.jacobian(lambda p: pinhole(p, intrinsics), point)
-        covariance = jacobian @ shapes[i] @ jacobian.T + 0.3 * torch.eye(2, dtype=torch.float64)
-        inverse = torch.linalg.inv(covariance)
-        torch.testing.assert_close(splats.conics[i], torch.stack([inverse[0, 0], inverse[0, 1], inverse[1, 1]]))
+        torch.testing.assert_close(splats.conics[i], linear_conic(point, shapes[i], intrinsics))
 
 
 def test_radii_hold_all_that_is_seen() -> None:

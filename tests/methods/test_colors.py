@@ -88,9 +88,7 @@ def test_brings_back_the_colors_of_its_own_renders():
     targets = RENDERER(colored(scene, colors), views).color[0]
     errors = []
     for steps in (0, 2, 8, 60):
-        result = fit_colors(
-            colored(scene, torch.full((40, 3), 0.5)), views, targets, RENDERER, steps=steps, damping=0.0
-        )
+        result = fit_colors(colored(scene, torch.full((40, 3), 0.5)), views, targets, RENDERER, steps=steps)
         errors.append(float((RENDERER(result, views).color[0] - targets).square().mean()))
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-6

@@ -9,52 +9,31 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.harmonics import colors, degree_of
-from anystyle.geometry.projection import covariances, project
+from anystyle.geometry.projection import project
 from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer, blend
 from tests.support.scenes import cameras, gaussians
 
 
-def rasterization(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
-    width: int,
-    height: int,
-    near_plane: float = 0.01,
-    far_plane: float = 1e10,
-    eps2d: float = 0.3,
-    sh_degree: int | None = None,
-    packed: bool = True,
-    render_mode: str = "RGB",
-    covars: Tensor | None = None,
-) -> tuple[Tensor, Tensor, dict[str, Any]]:
+def rasterization(**given: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """gsplat's function with gsplat's conventions, for one scene and the arguments that matter here."""
-    assert render_mode == "RGB+D"
-    assert means.dtype == viewmats.dtype == Ks.dtype == torch.float32
-    images, alphas = [], []
-    for view, intrinsics in zip(viewmats, Ks, strict=True):
-        shapes = covariances(quats, scales) if covars is None else covars
-        limits = {"near": near_plane, "far": far_plane, "eps2d": eps2d}
-        splats = project(means, shapes, opacities, view, intrinsics, (height, width), **limits)
-        shown = colors[splats.index]
-        if sh_degree is not None:
+    means, opacities, width, height = (given[name] for name in ("means", "opacities", "width", "height"))
+    assert given["render_mode"] == "RGB+D"
+    assert means.dtype == given["viewmats"].dtype == given["Ks"].dtype == torch.float32
+    limits = {"near": given["near_plane"], "far": given["far_plane"], "eps2d": given["eps2d"]}
+    images = []
+    for view, intrinsics in zip(given["viewmats"], given["Ks"], strict=True):
+        splats = project(means, given["covars"], opacities, view, intrinsics, (height, width), **limits)
+        shown = given["colors"][splats.index]
+        if given["sh_degree"] is not None:
+            assert degree_of(shown.shape[-2]) == given["sh_degree"]
             origin = torch.linalg.inv(view)[:3, 3]
-            assert degree_of(colors.shape[-2]) == sh_degree
-            shown = harmonics_colors(shown, torch.nn.functional.normalize(means[splats.index] - origin, dim=-1))
+            shown = colors(shown, torch.nn.functional.normalize(means[splats.index] - origin, dim=-1))
         payload = torch.cat([shown, splats.depths[:, None]], dim=-1)
         x, y = torch.arange(width) + 0.5, torch.arange(height) + 0.5
-        image = blend(splats.means, splats.conics, opacities[splats.index], payload, x, y, 0.999)
-        images.append(image[:4].movedim(0, -1))
-        alphas.append(1 - image[4:].movedim(0, -1))
-    return torch.stack(images), torch.stack(alphas), {}
-
-
-harmonics_colors = colors
+        images.append(blend(splats.means, splats.conics, opacities[splats.index], payload, x, y, 0.999))
+    image = torch.stack(images).movedim(1, -1)
+    return image[..., :4], 1 - image[..., 4:], {}
 
 
 @pytest.mark.parametrize("degree", [0, 4])

@@ -33,14 +33,7 @@ def render(renderer: Any, scene: Gaussians, views: Cameras, **options: Any) -> R
 
 
 def assert_same(actual: Renders, expected: Renders, atol: float = 1e-5) -> None:
-    for name in ("color", "alpha", "depth"):
-        torch.testing.assert_close(
-            getattr(actual, name),
-            getattr(expected, name),
-            rtol=1e-5,
-            atol=atol,
-            msg=lambda text, n=name: f"{n}: {text}",
-        )
+    torch.testing.assert_close(vars(actual), vars(expected), rtol=1e-5, atol=atol)
 
 
 def with_gradients(scene: Gaussians, views: Cameras) -> tuple[Gaussians, Cameras, list[Tensor]]:
@@ -189,9 +182,7 @@ def test_padding_is_not_seen_and_has_no_gradient(renderer: Any) -> None:
     renders = render(renderer, padded, seen)
     assert_same(renders.detach(), render(renderer, scene, views), atol=1e-6)
     for name, gradient in zip(NAMES, torch.autograd.grad(objective(renders), leaves[:5]), strict=True):
-        assert gradient.isfinite().all(), name
-        assert (gradient[:, 60:] == 0).all(), name
-        assert (gradient[:, :60] != 0).any(), name
+        assert gradient.isfinite().all() and not gradient[:, 60:].any() and gradient[:, :60].any(), name
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -205,8 +196,7 @@ def test_few_gaussians(renderer: Any, number: int, coefficients: int) -> None:
     assert renders.depth.shape == renders.alpha.shape == (2, 1, 5, 7)
     if number == 0:
         assert torch.equal(renders.color, torch.tensor([0.25, 0.5, 1.0])[:, None, None].expand(2, 1, 3, 5, 7))
-        assert (renders.alpha == 0).all()
-        assert (renders.depth == 0).all()
+        assert not renders.alpha.any() and not renders.depth.any()
     else:
         gradients = torch.autograd.grad(objective(renders), leaves[:5])
         assert all(gradient.isfinite().all() for gradient in gradients)
@@ -223,8 +213,7 @@ def test_hostile_scenes_have_finite_gradients(renderer: Any) -> None:
     means[:, 1] = views.world_from_camera[0, 0, :3, 3] + 1e-6 * views.world_from_camera[0, 0, :3, 2]
     scene, views, leaves = with_gradients(replace(scene, scales=scales, rotations=rotations, means=means), views)
     renders = render(renderer, scene, views)
-    assert renders.color.isfinite().all()
-    assert renders.depth.isfinite().all()
+    assert renders.color.isfinite().all() and renders.depth.isfinite().all()
     for name, gradient in zip([*NAMES, "poses"], torch.autograd.grad(objective(renders), leaves[:6]), strict=True):
         assert gradient.isfinite().all(), name
 

@@ -1,8 +1,11 @@
 """Configurations of trainings that take a second."""
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import torch
 from omegaconf import DictConfig
 
 from anystyle.registry.compose import compose
@@ -35,3 +38,14 @@ STYLIZATION = (
 def configuration(overrides: Sequence[str], out: Path) -> DictConfig:
     """The configuration of ``anystyle train`` with these overrides, its results in ``out``."""
     return compose("train", [*overrides, f"out={out}"])
+
+
+@cache
+def parts(*overrides: str) -> tuple[Any, Any]:
+    """A stylization training that is not trained, and its batches; tests share it."""
+    from anystyle.training.run import make_data, make_training
+
+    config = configuration((*STYLIZATION, *overrides), Path("unused"))
+    torch.manual_seed(0)
+    training = make_training(config)
+    return training, make_data(config, training).train

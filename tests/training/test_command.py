@@ -2,7 +2,6 @@
 
 import csv
 import os
-import re
 import signal
 import time
 from pathlib import Path
@@ -17,7 +16,7 @@ from anystyle.io.run_folder import changes
 from anystyle.registry.compose import compose
 from anystyle.training.resume import bound
 from anystyle.training.stylization import StylizationTraining
-from anystyle.training.trainer import check_options, make_trainer
+from anystyle.training.trainer import make_trainer
 from tests.support.training_cases import BACKBONE, STYLIZATION, configuration
 
 
@@ -114,25 +113,11 @@ def test_where_files_lie_is_not_compared_and_one_folder_is_the_same_by_each_of_i
     assert changes(before, bound(compose("train", [*words, "scenes.root=other"]))) == "scenes.root data -> other"
 
 
-def test_arguments_of_the_trainer_need_no_plus_and_are_checked(tmp_path):
-    words = [
-        "trainer.accumulate_grad_batches=2",
-        "trainer.max_time='00:01:00:00'",
-        "trainer.gradient_clip_algorithm=value",
-    ]
-    trainer = make_trainer(configuration([*STYLIZATION, *words], tmp_path), tmp_path, [])
+def test_arguments_of_the_trainer_need_no_plus(tmp_path):
+    words = ["accumulate_grad_batches=2", "max_time='00:01:00:00'", "gradient_clip_algorithm=value"]
+    config = configuration([*STYLIZATION, *(f"trainer.{word}" for word in words)], tmp_path)
+    trainer = make_trainer(config, tmp_path, [])
     assert trainer.accumulate_grad_batches == 2 and trainer.gradient_clip_algorithm == "value"
-    for word, told in [
-        ("accumulate_grad_batch=2", "Did you mean 'accumulate_grad_batches'?"),
-        ("accumulate_grad_batches=two", "could not be converted to Integer"),
-        ("max_epochs=3", "Did you mean 'max_steps'?"),
-        ("max_time=3", "days and time as DD:HH:MM:SS"),
-        ("profiler=no_such", "it can only be one of"),
-    ]:
-        with pytest.raises(UserError, match=re.escape(told)):
-            mistaken = configuration([*STYLIZATION, f"trainer.{word}"], tmp_path)
-            check_options(mistaken)
-            make_trainer(mistaken, tmp_path, [])
 
 
 @pytest.mark.slow

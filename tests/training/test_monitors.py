@@ -32,10 +32,8 @@ def test_terms_rates_gradients_and_speed_are_logged_to_a_table_and_to_tensorboar
 
     with (tracked / "log" / "version_0" / "metrics.csv").open() as file:
         rows = list(csv.DictReader(file))
-    names = {
-        "train/loss", "train/total_variation", "train/luminance", "train/clip_directional", "train/gradient_norm",
-        "lr/head", "lr/head injectors", "train/samples",
-    }  # fmt: skip
+    terms = ("loss", "total_variation", "luminance", "clip_directional", "gradient_norm", "samples")
+    names = {*(f"train/{name}" for name in terms), "lr/head", "lr/head injectors"}
     assert names <= set(rows[0])
     columns = {name: [float(row[name]) for row in rows if row[name]] for name in names}
     assert len(columns["train/gradient_norm"]) == 4 and min(columns["train/gradient_norm"]) > 0
@@ -99,14 +97,19 @@ def test_a_loss_that_explodes_stops_the_run(tmp_path):
         (("explosion=0.5",), "explosion=0.5: .* a factor such as 1000"),
         (("resume=maybe",), "resume=maybe: expected 'auto' . 'never' . 'changed'"),
         (("trainer.accelerator=gpu",), "gpu"),
+        (("trainer.accumulate_grad_batch=2",), r"Did you mean 'accumulate_grad_batches'\?"),
+        (("trainer.accumulate_grad_batches=two",), "could not be converted to Integer"),
+        (("trainer.max_epochs=3",), r"Did you mean 'max_steps'\?"),
+        (("trainer.max_time=3",), "days and time as DD:HH:MM:SS"),
+        (("trainer.profiler=no_such",), "it can only be one of"),
         (("loggers=[tensorbord]",), "Did you mean 'tensorboard'"),
     ],
 )
 def test_contradictory_options_are_refused_in_one_line(tmp_path, words, told):
     if "trainer.accelerator=gpu" in words and torch.cuda.is_available():
         pytest.skip("there is a graphics card")
-    config = configuration((*STYLIZATION, *words), tmp_path)
     with pytest.raises(ValueError, match=told) as caught:
+        config = configuration((*STYLIZATION, *words), tmp_path)
         check_options(config)
         make_trainer(config, tmp_path, [])
     assert "\n" not in str(caught.value)
@@ -183,9 +186,9 @@ def test_what_cannot_be_read_is_drawn_anew_with_a_warning(tmp_path, caplog):
 
 
 def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):
-    words = ("placement=full", "training.cache_scenes=0")
-    plain = make_training(configuration((*STYLIZATION, *words), tmp_path))
-    saving = make_training(configuration((*STYLIZATION, *words, "backbone.checkpointing=true"), tmp_path))
+    words = (*STYLIZATION, "placement=full", "training.cache_scenes=0")
+    plain = make_training(configuration(words, tmp_path))
+    saving = make_training(configuration((*words, "backbone.checkpointing=true"), tmp_path))
     saving.load_state_dict(plain.state_dict())
     import anystyle.nn.attention as module
 
@@ -196,8 +199,7 @@ def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):
     )
     gradients = []
     for training in (plain, saving):
-        config = configuration((*STYLIZATION, *words), tmp_path)
-        batch = make_data(config, training).train.batch(0)
+        batch = make_data(configuration(words, tmp_path), training).train.batch(0)
         training.train()
         result = training.stylize(batch, training.embed(batch.style, 0))
         (result.renders.color * hashed(3, result.renders.color.shape)).mean().backward()

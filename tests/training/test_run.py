@@ -6,6 +6,7 @@ import signal
 
 import pytest
 import torch
+from safetensors.torch import load_file
 
 import anystyle
 from anystyle.contracts import Backbone
@@ -16,12 +17,6 @@ from anystyle.training import run as module
 from anystyle.training.run import train
 from anystyle_tiny.training.reconstruction import ReconstructionTraining
 from tests.support.training_cases import RECONSTRUCTION, STYLIZATION, configuration
-
-
-def weights(path):
-    from safetensors.torch import load_file
-
-    return load_file(path)
 
 
 def stop_at(monkeypatch, step: int, how: str) -> None:
@@ -41,16 +36,25 @@ def stop_at(monkeypatch, step: int, how: str) -> None:
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
-    out = tmp_path_factory.mktemp("whole")
-    outcome = anystyle.train(RECONSTRUCTION, out)
-    return out, outcome
+    """A run and its folder; the checkout moves on after the run began."""
+    out, where, whole = tmp_path_factory.mktemp("whole"), ["begun"], ReconstructionTraining.training_step
+
+    def training_step(self, batch, index):
+        where[0] = "moved on"
+        return whole(self, batch, index)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "commit", lambda: where[0])
+        patch.setattr(ReconstructionTraining, "training_step", training_step)
+        return out, anystyle.train(RECONSTRUCTION, out)
 
 
 def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):
     out, outcome = uninterrupted
     assert outcome.finished and outcome.steps == 6
     header = read_header(out / "backbone.safetensors")
-    assert header.part == "backbone" and header.provenance["steps"] == 6 and header.provenance["seed"] == 0
+    made = {name: header.provenance[name] for name in ("steps", "seed", "commit")}
+    assert header.part == "backbone" and made == {"steps": 6, "seed": 0, "commit": "begun"}
     backbone = build(Backbone, header.config["backbone"])
     load_part(out / "backbone.safetensors", backbone, "backbone")
     assert json.loads((out / "metrics.json").read_text())["train/loss"] == pytest.approx(outcome.metrics["train/loss"])
@@ -76,22 +80,8 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights(uninterrupted, tmp_pa
                 train(configuration(overrides, tmp_path), tmp_path)
     assert not (tmp_path / "backbone.safetensors").exists()
     assert train(configuration(overrides, tmp_path), tmp_path).finished
-    first, second = weights(whole / "backbone.safetensors"), weights(tmp_path / "backbone.safetensors")
+    first, second = (load_file(out / "backbone.safetensors") for out in (whole, tmp_path))
     assert all(torch.equal(first[key], second[key]) for key in first)
-
-
-def test_weights_name_the_commit_that_the_run_began_at(tmp_path, monkeypatch):
-    where = ["begun"]
-    monkeypatch.setattr(module, "commit", lambda: where[0])
-    whole = ReconstructionTraining.training_step
-
-    def training_step(self, batch, index):
-        where[0] = "moved on"
-        return whole(self, batch, index)
-
-    monkeypatch.setattr(ReconstructionTraining, "training_step", training_step)
-    train(configuration((*RECONSTRUCTION, "trainer.max_steps=1"), tmp_path), tmp_path)
-    assert read_header(tmp_path / "backbone.safetensors").provenance["commit"] == "begun"
 
 
 def test_a_run_of_another_configuration_is_not_continued(uninterrupted):
@@ -139,11 +129,9 @@ def test_stylization_learns_and_continues_bit_for_bit(tmp_path):
     column = lines[0].split(",").index("train/loss")
     losses = [float(cells[column]) for cells in (line.split(",") for line in lines[1:]) if cells[column]]
     assert losses[-1] < losses[0]
-    shorter = (*overrides, "trainer.max_steps=3", "training.decay_steps=6")
-    longer = (*overrides, "training.decay_steps=6", "resume=changed")
-    train(configuration(shorter, halves), halves)
-    train(configuration(longer, halves), halves)
-    first, second = weights(whole / "branch.safetensors"), weights(halves / "branch.safetensors")
+    for words in (("trainer.max_steps=3",), ("resume=changed",)):
+        train(configuration((*overrides, "training.decay_steps=6", *words), halves), halves)
+    first, second = (load_file(out / "branch.safetensors") for out in (whole, halves))
     assert outcome.finished and all(torch.equal(first[key], second[key]) for key in first)
     # The checkpoint holds the branch alone; what is frozen has files of its own.
     state = torch.load(halves / "last.ckpt", weights_only=True)["state_dict"]

@@ -65,12 +65,9 @@ def test_bounded_views_lie_in_their_window(count):
     low, high = gap_bounds(count, 300)
     for seed in range(50):
         views = bounded_views(generator(seed), 300, count, 2)
-        context, targets = views[:count], views[count:]
-        left, right = context[0], context[-1]
-        assert low <= right - left <= high
-        assert len(set(context)) == count
-        assert all(left < view < right for view in context[1:-1])
-        assert all(left <= view <= right for view in targets)
+        left, *between, right = views[:count]
+        assert low <= right - left <= high and len(set(between)) == count - 2
+        assert all(left < view < right for view in between) and all(left <= view <= right for view in views[count:])
 
 
 def test_a_capture_that_is_too_short_says_what_to_change():
@@ -91,10 +88,8 @@ def test_a_batch_depends_on_seed_and_step_alone():
 
 def test_processes_share_a_batch_and_nothing_is_lost():
     source = SceneBatches(Frames(), Named(), seed=1, batch_size=6, context_views=(3, 3))
-    whole = source.batch(5)
-    shares = [source.batch(5, rank, 3) for rank in range(3)]
-    joined = torch.stack([share.views.images for share in shares], dim=1).flatten(0, 1)
-    assert torch.equal(joined, whole.views.images)
+    joined = torch.stack([source.batch(5, rank, 3).views.images for rank in range(3)], dim=1).flatten(0, 1)
+    assert torch.equal(joined, source.batch(5).views.images)
     with pytest.raises(ValueError, match="6 scenes a step cannot be shared by 4"):
         source.batch(5, 0, 4)
 

@@ -28,31 +28,32 @@ def searched(tmp_path, monkeypatch):
         tried.append(rate)
         return Outcome(1, rate > 0.2, {"train/loss": (rate - 0.1) ** 2, "val/psnr": rate}, ())
 
-    def search(*words: str):
-        tried.clear()
+    def search(*words: str, trials: int = 2):
         launch("train", run, [
             "-m", "training=reconstruction", "loss=[]", "hydra/sweeper=optuna", "hydra.sweeper.n_jobs=1",
-            "hydra.sweeper.n_trials=12", "hydra.sweeper.sampler.seed=0", "hydra.sweep.dir=search", *words,
+            f"hydra.sweeper.n_trials={trials}", "hydra.sweeper.sampler.seed=0", "hydra.sweep.dir=search", *words,
         ])  # fmt: skip
         found = yaml.safe_load((tmp_path / "search/optimization_results.yaml").read_text())
-        return found, list(tried)
+        return found, tried
 
     monkeypatch.setattr("anystyle.commands.train.train", train)
     return search
 
 
-INTERVAL = ("training.learning_rate=interval(0.01,0.9)", "hydra.sweeper.max_failure_rate=1")
-
-
 def test_a_search_finds_the_least_objective_past_jobs_that_fail_stop_early_or_are_pruned(searched, capsys):
-    found, tried = searched(*INTERVAL, "objective=train/loss")
+    interval = ("training.learning_rate=interval(0.01,0.9)", "hydra.sweeper.max_failure_rate=1")
+    found, tried = searched(*interval, "objective=train/loss", trials=12)
     assert 2 <= len(tried) < 12 and max(tried) > 0.2
     assert found["best_value"] == min((rate - 0.1) ** 2 for rate in tried)
     assert "job 12 of 12: training.learning_rate=" in capsys.readouterr().err
 
 
 def test_a_search_may_have_several_objectives(searched):
-    found, _ = searched(*INTERVAL, "objective=[train/loss,val/psnr]", "hydra.sweeper.direction=[minimize,maximize]")
+    found, _ = searched(
+        "training.learning_rate=interval(0.21,0.4)",
+        "objective=[train/loss,val/psnr]",
+        "hydra.sweeper.direction=[minimize,maximize]",
+    )
     assert all(one["values"][1] == one["params"]["training.learning_rate"] for one in found["solutions"])
 
 
@@ -68,4 +69,4 @@ def test_a_search_may_have_several_objectives(searched):
 )
 def test_a_search_without_a_value_to_compare_ends_in_one_line(searched, words, told):
     with pytest.raises(UserError, match=told):
-        searched("training.learning_rate=interval(0.01,0.2)", *words)
+        searched("training.learning_rate=interval(0.01,0.2)", *words, trials=1)

@@ -4,51 +4,15 @@ import pytest
 import torch
 
 from anystyle.training.collate import stack_styles
-from anystyle.training.data import Batch
-from anystyle.training.run import make_data, make_training
 from anystyle.training.scene_cache import EncodedScenes, stack_scenes
 from anystyle.training.stylization import branch_groups, style_vectors
 from anystyle.types import Scene, Style
 from tests.support.oracle import hashed
-from tests.support.training_cases import STYLIZATION, configuration
+from tests.support.training_cases import parts
 
 
-def parts(tmp_path, *overrides):
-    config = configuration((*STYLIZATION, *overrides), tmp_path)
-    torch.manual_seed(0)
-    training = make_training(config)
-    return training, make_data(config, training).train
-
-
-def test_at_step_0_a_styled_render_is_the_unstyled_one(tmp_path):
-    training, source = parts(tmp_path)
-    batch = source.batch(0)
-    result = training.stylize(batch, training.embed(batch.style, 0))
-    stylizer = training.stylizer
-    unstyled = stylizer.render(stylizer.unstyled(result.scene), result.scene.cameras)
-    assert torch.equal(result.renders.color, unstyled.color)
-
-
-@pytest.mark.parametrize("placement", ["head", "full"])
-def test_by_the_second_step_every_parameter_has_a_gradient(tmp_path, placement):
-    training, source = parts(tmp_path, f"placement={placement}", "branch.styled=[opacity,scale,rotation,color]")
-    groups = branch_groups(training.stylizer, lr=1e-3, aggregator_rate=0.3)
-    optimizer = torch.optim.Adam(groups)
-    for step in range(2):
-        batch = source.batch(step)
-        result = training.stylize(batch, training.embed(batch.style, step))
-        loss = (result.renders.color * hashed(step, result.renders.color.shape)).mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-    branch = training.stylizer.branch
-    frozen = [p for p in training.stylizer.backbone.parameters() if p.grad is not None]
-    without = [name for name, p in branch.named_parameters() if p.grad is None or not p.grad.any()]
-    assert not without and not frozen
-
-
-def test_parameter_groups_are_the_published_ones(tmp_path):
-    training, _ = parts(tmp_path, "placement=full")
+def test_parameter_groups_are_the_published_ones():
+    training, _ = parts("placement=full")
     groups = branch_groups(training.stylizer, lr=1e-4, aggregator_rate=0.3)
     assert [group["lr"] for group in groups] == [1e-4, 1e-4, pytest.approx(3e-5), pytest.approx(3e-5)]
     branch = training.stylizer.branch
@@ -63,17 +27,17 @@ def test_parameter_groups_are_the_published_ones(tmp_path):
     )
 
 
-def test_text_steps_are_a_function_of_the_step(tmp_path):
-    training, _ = parts(tmp_path, "training.text_ratio=0.25")
+def test_text_steps_are_a_function_of_the_step():
+    training, _ = parts("training.text_ratio=0.25")
     coin = [training.is_text_step(step) for step in range(4000)]
     assert coin == [training.is_text_step(step) for step in range(4000)]
     assert abs(sum(coin) / 4000 - 0.25) < 0.03
-    strict, _ = parts(tmp_path, "training.text_ratio=0.25", "training.alternation=strict")
+    strict, _ = parts("training.text_ratio=0.25", "training.alternation=strict")
     assert [step for step in range(12) if strict.is_text_step(step)] == [3, 7, 11]
 
 
-def test_a_style_that_lacks_one_modality_comes_as_the_other(tmp_path):
-    training, _ = parts(tmp_path)
+def test_a_style_that_lacks_one_modality_comes_as_the_other():
+    training, _ = parts()
     encoder = training.stylizer.style_encoder
     image = hashed(1, (1, 3, 28, 28))
     style = stack_styles([Style(image=image, text=("red dots",)), Style(text=("blue stripes",)), Style(image=image)])
@@ -85,12 +49,10 @@ def test_a_style_that_lacks_one_modality_comes_as_the_other(tmp_path):
         style_vectors(training.stylizer, Style(text=("",)), as_text=True)
 
 
-def test_remembered_scenes_change_nothing(tmp_path):
-    training, source = parts(tmp_path)
+def test_remembered_scenes_change_nothing():
+    training, source = parts()
     batch = source.batch(0)
-    again = Batch(batch.views, batch.context, batch.style, batch.keys)
-    first = training.encoded(batch.inputs, batch.keys)
-    remembered = training.encoded(again.inputs, again.keys)
+    first, remembered = (training.encoded(batch.inputs, batch.keys) for _ in range(2))
     fresh = EncodedScenes(training.encoded.encode, 0)(batch.inputs, batch.keys)
     for scene in (remembered, fresh):
         assert torch.equal(scene.geometry.depth, first.geometry.depth)
@@ -98,8 +60,8 @@ def test_remembered_scenes_change_nothing(tmp_path):
         assert torch.equal(scene.clusters.index, first.clusters.index)
 
 
-def test_stacked_scenes_render_as_each_alone(tmp_path):
-    training, source = parts(tmp_path)
+def test_stacked_scenes_render_as_each_alone():
+    training, source = parts()
     stylizer = training.stylizer
     batch = source.batch(1)
     both: Scene = training.encoded(batch.inputs, batch.keys)

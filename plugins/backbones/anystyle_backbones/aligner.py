@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import torch
 import torch.nn.functional as F
@@ -9,6 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from anystyle.geometry.alignment import MatchedPoints, align
+from anystyle.geometry.warp import pixels
 from anystyle.types import Cameras, Geometry
 from anystyle_backbones.reference_view import in_order, reference_first
 
@@ -20,12 +22,13 @@ class Matcher(nn.Module):
         super().__init__()
         first, second, third, fourth = widths
         self.stem = nn.Sequential(nn.Conv2d(3, first, 5, stride=2, padding=2), nn.GroupNorm(4, first), nn.GELU())
-        down = [
-            nn.Sequential(_Shrink(first, second), _Residual(second)),
-            nn.Sequential(_Shrink(second, third), _Residual(third)),
-            nn.Sequential(_Shrink(third, fourth), _Residual(fourth), _Residual(fourth)),
-        ]
-        self.down = nn.ModuleList(down)
+        self.down = nn.ModuleList(
+            [
+                nn.Sequential(_shrink(first, second), _Residual(second)),
+                nn.Sequential(_shrink(second, third), _Residual(third)),
+                nn.Sequential(_shrink(third, fourth), _Residual(fourth), _Residual(fourth)),
+            ]
+        )
         self.lateral = nn.ModuleList([nn.Conv2d(fourth, third, 1), nn.Conv2d(third, second, 1)])
         self.up = nn.ModuleList([_Residual(third), _Residual(second)])
         self.last = nn.Conv2d(second, descriptor, 3, padding=1)
@@ -43,21 +46,15 @@ class Matcher(nn.Module):
         return self.last(current)
 
 
-class _Shrink(nn.Sequential):
-    def __init__(self, wide: int, narrow: int) -> None:
-        super().__init__(nn.Conv2d(wide, narrow, 3, stride=2, padding=1), nn.GroupNorm(4, narrow), nn.GELU())
+def _shrink(dim: int, wider: int) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(dim, wider, 3, stride=2, padding=1), nn.GroupNorm(4, wider), nn.GELU())
 
 
 class _Residual(nn.Module):
     def __init__(self, dim: int) -> None:
         super().__init__()
-        self.body = nn.Sequential(
-            nn.Conv2d(dim, dim, 3, padding=1),
-            nn.GroupNorm(4, dim),
-            nn.GELU(),
-            nn.Conv2d(dim, dim, 3, padding=1),
-            nn.GroupNorm(4, dim),
-        )
+        first, second = ((nn.Conv2d(dim, dim, 3, padding=1), nn.GroupNorm(4, dim)) for _ in range(2))
+        self.body = nn.Sequential(*first, nn.GELU(), *second)
 
     def forward(self, features: Tensor) -> Tensor:
         return F.gelu(features + self.body(features))
@@ -66,7 +63,7 @@ class _Residual(nn.Module):
 DOUBTFUL = 1.5 / 112
 """Error of a match, as a fraction of the image's width, at which its Cauchy weight is a half."""
 RADIUS = 2
-"""Of the window of cells around the likeliest one over which the position of a match is averaged."""
+"""Radius of the window of cells around the likeliest one over which the position of a match is averaged."""
 
 
 class Aligner(nn.Module):
@@ -121,18 +118,17 @@ class Aligner(nn.Module):
         (height, width), (rows, columns) = cameras.size, correlation.shape[-2:]
         cell, weight = _matches(correlation.flatten(0, 1))
         size = depth.new_tensor([width / columns, height / rows])
-        u = torch.arange(columns, device=depth.device, dtype=depth.dtype)
-        v = torch.arange(rows, device=depth.device, dtype=depth.dtype)
-        pixels = (torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).flatten(0, 1) + 0.5) * size
-        source_ray, source = _unproject(pixels.expand(len(cell), -1, -1), cameras, depth, slice(1, None))
+        cells = pixels(depth.new_empty(rows, columns)).flatten(1).mT  # P 2
+        source_ray, source = _unproject(
+            ((cells + 0.5) * size).expand(len(cell), -1, -1), cameras, depth, slice(1, None)
+        )
         target_ray, target = _unproject((cell + 0.5) * size, cameras, depth, slice(0, 1))
         motion = align(
             MatchedPoints(source, target, source_ray, target_ray, weight),
             scale=float(DOUBTFUL * width / cameras.intrinsics[:, :, 0, 0].mean()),
         )
         pose = torch.eye(4, dtype=depth.dtype, device=depth.device).expand(batch, views, 4, 4).clone()
-        pose[:, 1:, :3, :3] = motion.rotation.unflatten(0, (batch, views - 1))
-        pose[:, 1:, :3, 3] = motion.translation.unflatten(0, (batch, views - 1))
+        pose[:, 1:, :3, :3], pose[:, 1:, :3, 3] = (part.unflatten(0, (batch, views - 1)) for part in motion)
         return pose
 
 
@@ -144,17 +140,16 @@ def _matches(correlation: Float[Tensor, "M r c r c"]) -> tuple[Float[Tensor, "M 
     mutual = probability * logits.softmax(-2)
     best = mutual.argmax(-1)
     row, column = best // columns, best % columns
-    total, cell = torch.zeros_like(mutual[..., 0]), torch.zeros(*best.shape, 2, device=best.device)
-    weight = torch.zeros_like(total)
-    for dy in range(-RADIUS, RADIUS + 1):
-        for dx in range(-RADIUS, RADIUS + 1):
-            y, x = row + dy, column + dx
-            inside = (y >= 0) & (y < rows) & (x >= 0) & (x < columns)
-            index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1))[..., None]
-            mass = probability.gather(-1, index)[..., 0] * inside
-            total = total + mass
-            cell = cell + mass[..., None] * torch.stack([x, y], dim=-1)
-            weight = weight + mutual.gather(-1, index)[..., 0] * inside
+    total, weight = torch.zeros_like(mutual[..., 0]), torch.zeros_like(mutual[..., 0])
+    cell = torch.zeros(*best.shape, 2, device=best.device)
+    for dy, dx in product(range(-RADIUS, RADIUS + 1), repeat=2):
+        y, x = row + dy, column + dx
+        inside = (y >= 0) & (y < rows) & (x >= 0) & (x < columns)
+        index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1))[..., None]
+        mass = probability.gather(-1, index)[..., 0] * inside
+        total = total + mass
+        cell = cell + mass[..., None] * torch.stack([x, y], dim=-1)
+        weight = weight + mutual.gather(-1, index)[..., 0] * inside
     return cell / total.clamp_min(1e-12)[..., None], weight
 
 
@@ -168,6 +163,5 @@ def _unproject(
     intrinsics = cameras.intrinsics[:, views].expand(-1, count, -1, -1).flatten(0, 1)
     grid = pixels * pixels.new_tensor([2 / width, 2 / height]) - 1
     sampled = F.grid_sample(chosen[:, None], grid[:, None], padding_mode="border", align_corners=False)[:, 0, 0]
-    focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)[:, None]
-    ray = (pixels - intrinsics[:, None, :2, 2]) / focal
-    return ray, torch.cat([ray, torch.ones_like(ray[..., :1])], dim=-1) * sampled[..., None]
+    ray = (pixels - intrinsics[:, None, :2, 2]) / intrinsics.diagonal(dim1=-2, dim2=-1)[:, None, :2]
+    return ray, F.pad(ray, (0, 1), value=1.0) * sampled[..., None]

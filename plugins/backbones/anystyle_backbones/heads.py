@@ -73,7 +73,7 @@ class DptGaussians(contracts.GaussianHead):
         return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
 
 
-class CameraReader(nn.Module, ABC):
+class CameraRegressor(nn.Module, ABC):
     """Reads cameras off tokens."""
 
     @abstractmethod
@@ -93,7 +93,7 @@ class GeometryHead(contracts.GeometryHead):
     """
 
     def __init__(
-        self, camera: CameraReader, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
+        self, camera: CameraRegressor, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
     ) -> None:
         super().__init__()
         self.camera, self.depth, self.aligner = camera, depth, aligner

@@ -30,8 +30,7 @@ def test_a_sideways_step_is_found(cells):
     """A plane straight ahead, seen by a camera that moved so far that points move by whole cells."""
     depth = torch.full((1, 2, *SIZE), 2.0)
     step = cells * STRIDE * 2.0 / FOCAL
-    first, _ = _plane(torch.zeros(3))
-    second, _ = _plane(torch.tensor([step, 0.0, 0.0]))
+    first, second = plane(), plane() + torch.tensor([step, 0.0, 0.0])
     pose = Aligner()(ideal([first, second]), lenses(2), depth)[0]
     assert torch.equal(pose[0], torch.eye(4))
     torch.testing.assert_close(pose[1, :3, 3], torch.tensor([step, 0.0, 0.0]), atol=0.03, rtol=0)
@@ -39,11 +38,10 @@ def test_a_sideways_step_is_found(cells):
     assert angle < 1.0
 
 
-def _plane(origin):
+def plane():
     grid = (torch.arange(CELLS) + 0.5) * STRIDE
     v, u = torch.meshgrid(grid, grid, indexing="ij")
-    points = torch.stack([(u - 32) / FOCAL * 2, (v - 32) / FOCAL * 2, torch.full_like(u, 2.0)], dim=-1)
-    return points + origin, None
+    return torch.stack([(u - 32) / FOCAL * 2, (v - 32) / FOCAL * 2, torch.full_like(u, 2.0)], dim=-1)
 
 
 def test_poses_carry_no_gradient_and_views_are_independent():

@@ -1,15 +1,12 @@
 """Compiled kernels: the projection of Gaussians to splats in one image, and its backward pass.
 
 They follow :mod:`anystyle.geometry.projection` and :func:`anystyle.geometry.harmonics.colors`, one Gaussian at a time
-in double precision. Rotations are ``[N, 4]`` wxyz of any norm, scales ``[N, 3]`` standard deviations, covariances
-``[N, 6]`` packed as ``xx, xy, xz, yy, yz, zz``. A splat is a row of 16 numbers, one cache line; constants name the
-columns.
+in double precision. A splat is a row of 16 numbers, one cache line; constants name the columns.
 
 The backward pass starts from ``moments [n, MOMENTS]``, which :mod:`anystyle_cpu_renderer.raster` accumulates for each
-splat. ``into`` and ``d_x`` are gradients, and are added to; that of the camera is left out unless ``posed``.
-``lens`` holds focal lengths over depth and slopes of the ray, ``fx / z, fy / z, u, v``; ``basis [K]``, ``slopes [K,
-3]``, ``ray [3]`` are buffers; ``owners [n]`` are Gaussians, ascending, ``ranks [n]`` the rows of their splats in
-``splats, moments``.
+splat. ``into`` and ``d_x`` are gradients, and are added to; that of the camera is left out unless ``posed``. ``lens``
+holds focal lengths over depth and slopes of the ray, ``fx / z, fy / z, u, v``; ``basis [K]``, ``slopes [K, 3]``, ``ray
+[3]`` are buffers.
 """
 
 from math import isfinite, log, sqrt
@@ -23,7 +20,7 @@ Array = np.ndarray
 
 
 class SceneArrays(NamedTuple):
-    """Gaussians of one scene, or their gradients; ``shapes`` are packed covariances."""
+    """Gaussians of one scene, or their gradients; ``shapes [N, 6]`` are covariances: ``xx, xy, xz, yy, yz, zz``."""
 
     means: Array
     rotations: Array

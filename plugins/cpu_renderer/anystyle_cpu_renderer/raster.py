@@ -29,7 +29,7 @@ class Tiles(NamedTuple):
     offsets: Array
 
 
-class Picture(NamedTuple):
+class BlendedView(NamedTuple):
     """One view.
 
     Args:
@@ -83,15 +83,7 @@ MARGIN = np.float32(0.01)
 
 @compiled
 def nearest_first(splats: Array, rows: Array) -> Array:
-    """Stable radix sort of splats by depth; the bits of positive floats are ordered as the floats are.
-
-    Args:
-        splats: ``[N, SPLAT]``.
-        rows: ``[n]``: which rows to sort.
-
-    Returns:
-        Indices into ``rows``, nearest first.
-    """
+    """Indices into ``rows`` of splats, nearest first: a stable radix sort, for bits of positive floats are ordered."""
     n = rows.shape[0]
     depths = np.empty(n, np.float32)
     for i in range(n):
@@ -240,7 +232,7 @@ WIDE = np.uint64(WIDTH)
 
 @compiled
 def blend(splats: Array, tiles: Tiles, top: int, cap: float, image: Array, last: Array) -> None:
-    """Blend one row of tiles, whose first row of pixels is ``top``, into ``image`` and ``last`` of :class:`Picture`.
+    """Blend one row of tiles from the row of pixels ``top`` on into ``image`` and ``last`` of :class:`BlendedView`.
 
     ``cap`` is the largest alpha of one splat in a pixel.
     """
@@ -254,9 +246,8 @@ def blend(splats: Array, tiles: Tiles, top: int, cap: float, image: Array, last:
 def gather(splats: Array, entries: Array, count: int, top: int, left: int) -> Array:
     """Copy the first entries of a tile into contiguous memory, which hides the latency of scattered reads.
 
-    Returns:
-        ``[count, 10]``: column and row from the centre of the tile's first pixel, conic with its diagonal halved,
-        opacity, colour and depth.
+    ``[count, 10]``: column and row from the centre of the tile's first pixel, conic with its diagonal halved, opacity,
+    colour and depth.
     """
     near = np.empty((count, 10), np.float32)
     for e in range(count):
@@ -322,7 +313,7 @@ def passing(tile: Array) -> np.float32:
 
 @compiled
 def blend_backward(
-    splats: Array, tiles: Tiles, top: int, cap: float, picture: Picture, moments: Array, shaped: bool
+    splats: Array, tiles: Tiles, top: int, cap: float, picture: BlendedView, moments: Array, shaped: bool
 ) -> None:
     """Accumulate ``moments [m, MOMENTS]`` of the splats of one row of tiles; other arguments as in :func:`blend`.
 
@@ -346,7 +337,7 @@ def scatter(members: Array, row_moments: Array, moments: Array) -> None:
 
 
 @compiled
-def tile_backward(top: int, left: int, picture: Picture) -> tuple[Array, int]:
+def tile_backward(top: int, left: int, picture: BlendedView) -> tuple[Array, int]:
     """The initial state of the backward pass through one tile, and the last entry that any of its pixels blended."""
     image, last, d_image = picture
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
@@ -373,7 +364,7 @@ def tile_backward(top: int, left: int, picture: Picture) -> tuple[Array, int]:
 
 @summed
 def blend_tile_backward(
-    splats: Array, entries: Array, top: int, left: int, cap: float, picture: Picture, moments: Array
+    splats: Array, entries: Array, top: int, left: int, cap: float, picture: BlendedView, moments: Array
 ) -> None:
     """Accumulate gradients of the splats ``entries`` of one tile; arguments as in :func:`blend_backward`."""
     tile, deepest = tile_backward(top, left, picture)
@@ -423,7 +414,7 @@ def blend_tile_backward(
 
 @summed
 def color_tile_backward(
-    splats: Array, entries: Array, top: int, left: int, cap: float, picture: Picture, moments: Array
+    splats: Array, entries: Array, top: int, left: int, cap: float, picture: BlendedView, moments: Array
 ) -> None:
     """:func:`blend_tile_backward` for colours only, which is about half the work."""
     tile, deepest = tile_backward(top, left, picture)

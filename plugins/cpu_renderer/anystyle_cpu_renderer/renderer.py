@@ -13,7 +13,7 @@ from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer import stages
 from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
-from anystyle_cpu_renderer.raster import Picture
+from anystyle_cpu_renderer.raster import BlendedView
 
 
 class CpuRenderer(CappedRasterizer):
@@ -100,7 +100,7 @@ class _Splatting(torch.autograd.Function):
                     else:
                         splats, tiles = stages.project(scene, view, ctx.settings.height, run), []
                     d_image = grad_outputs[0][b, v].contiguous().numpy()
-                    picture = Picture(images[b, v].numpy(), ctx.last[b, v], d_image)
+                    picture = BlendedView(images[b, v].numpy(), ctx.last[b, v], d_image)
                     moments = stages.blend_backward(splats, tiles, cap, picture, shaped, run)
                     d_camera = stages.project_backward(scene, view, splats, moments, into, shaped, posed, run)
                     _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))

@@ -11,7 +11,7 @@ import torch
 
 from anystyle_cpu_renderer import projection, raster
 from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
-from anystyle_cpu_renderer.raster import Picture, SortedSplats, Tiles
+from anystyle_cpu_renderer.raster import BlendedView, SortedSplats, Tiles
 
 CHUNK = 8192
 """Gaussians per job; fixed, so that the order of summation does not depend on the number of threads."""
@@ -103,7 +103,7 @@ def blend(
 
 
 def blend_backward(
-    splats: SortedSplats, kept: list[Tiles], cap: np.float32, picture: Picture, shaped: bool, run: Mapper
+    splats: SortedSplats, kept: list[Tiles], cap: np.float32, picture: BlendedView, shaped: bool, run: Mapper
 ) -> np.ndarray:
     """The moments ``[n, MOMENTS]`` of splats, given the gradient of their image; lists tiles again if none are kept.
 

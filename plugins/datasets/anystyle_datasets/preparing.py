@@ -93,20 +93,16 @@ def re10k(root: Path, on_progress: OnProgress) -> str:
         index: dict[str, str] = kept_json(root / split / "index.json", dict[str, str]) or {}
         waiting = [path for path in lists if path.stem not in index]
         clips: list[dict[str, Any]] = []
-        size = absent = 0
+        absent = 0
         for number, path in enumerate(waiting, start=1):
             clip = _clip(root, split, path)
-            if clip is None:
-                absent += 1
-            else:
-                clips.append(clip)
-                size += sum(len(frame) for frame in clip["images"])
-            if size > CHUNK:
+            absent += clip is None
+            clips += [] if clip is None else [clip]
+            size = sum(len(frame) for each in clips for frame in each["images"])
+            if clips and (size > CHUNK or number == len(waiting)):
                 _store(root / split, clips, index)
-                clips, size = [], 0
+                clips = []
             on_progress(Progress.count(f"{split}: reading clips", number, len(waiting)))
-        if clips:
-            _store(root / split, clips, index)
         if lists:
             told.append(f"{split}: {len(index)} of {len(lists)} clips, {absent} without frames here")
             listed, made = listed + len(lists), made + len(index)

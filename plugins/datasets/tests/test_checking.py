@@ -1,6 +1,5 @@
 """What `anystyle data check` finds, in folders of each layout with something wrong in each."""
 
-import io
 import json
 
 import numpy as np
@@ -15,6 +14,7 @@ from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle_datasets.checking import check, fingerprint, guess, same_pictures
 from anystyle_datasets.command import Data
+from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
 from tests.support.oracle import hashed
 from tests.support.real_data import real
@@ -53,13 +53,9 @@ def test_scenes_are_counted_and_what_is_wrong_is_named(dl3dv):
     assert report.sizes == {(60, 40): 8} and sorted(report.views.elements()) == [1, 3, 4]
     assert report.use == f"scenes=dl3dv scenes.root={dl3dv}"
     found = "\n".join(report.problems)
-    for words in (
-        "3K/gone: in train_index.json",
-        "frame_00002.png is a damaged",
-        "names images/frame_00009.png",
-        "1 views, fewer",
-    ):
+    for words in ("3K/gone: in train_index.json", "frame_00002.png is a damaged", "names images/frame_00009.png"):
         assert words in found
+    assert "1 views, fewer" in found
     assert len(report.problems) == 4
     assert check(dl3dv, decode=False).scenes == 2
 
@@ -94,15 +90,10 @@ def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):
 
 
 def test_clips_are_counted_by_their_chunks(tmp_path):
-    buffer = io.BytesIO()
-    Image.linear_gradient("L").resize((48, 27)).save(buffer, "PNG")
-    frame = torch.tensor(list(buffer.getvalue()), dtype=torch.uint8)
-    row = torch.tensor([0.8, 1.4, 0.5, 0.5, 0.0, 0.0, *torch.eye(4)[:3].flatten().tolist()])
-    (tmp_path / "train").mkdir()
-    clips = [
-        {"key": name, "cameras": row.repeat(count, 1), "images": [frame] * count}
-        for name, count in (("a", 3), ("b", 1))
-    ]
+    Re10kScenes.example(tmp_path)
+    (clip,) = torch.load(tmp_path / "train" / "0.torch", weights_only=True)
+    frame = clip["images"][0]
+    clips = [clip | {"key": "a"}, {"key": "b", "cameras": clip["cameras"][:1], "images": [frame]}]
     torch.save(clips, tmp_path / "train" / "0.torch")
     (tmp_path / "train" / "index.json").write_text(json.dumps({"a": "0.torch", "b": "0.torch", "c": "1.torch"}))
     report = check(tmp_path)
@@ -127,10 +118,8 @@ def test_paintings_are_held_against_their_descriptions_and_lists(tmp_path, capsy
     (tmp_path / TEST_FILES).write_text("Op_Art/b.png\nOp_Art/absent.png\n")
     Data()(["check", str(tmp_path)])
     told = capsys.readouterr().out
-    assert (
-        "layout    wikiart" in told and "images    3\n" in told and "texts     1\n" in told and "problems  3\n" in told
-    )
-    for words in ("torn.png is not an image", "Op_Art/gone.png has a description", "names Op_Art/absent.png"):
+    problems = ("torn.png is not an image", "Op_Art/gone.png has a description", "names Op_Art/absent.png")
+    for words in ("layout    wikiart", "images    3\n", "texts     1\n", "problems  3\n", *problems):
         assert words in told
 
 
@@ -162,17 +151,15 @@ def test_a_style_list_that_overlaps_the_test_list_is_refused(tmp_path):
 
 def test_copies_of_a_painting_are_found_whatever_their_name_size_and_format(tmp_path, capsys):
     paintings = sorted(real("styles").glob("*.jpg"))
-    train, tests = tmp_path / "train", tmp_path / "tests"
+    train, tests, expected = tmp_path / "train", tmp_path / "tests", {}
     train.mkdir()
     tests.mkdir()
     for number, path in enumerate(paintings):
         with Image.open(path) as image:
             image.convert("RGB").save(train / path.name)
             if number % 2 == 0:
-                image.convert("RGB").resize((300, 220)).save(tests / f"{number:02d}.png")
-    expected = {
-        train / path.name: tests / f"{number:02d}.png" for number, path in enumerate(paintings) if number % 2 == 0
-    }
+                expected[train / path.name] = tests / f"{number:02d}.png"
+                image.convert("RGB").resize((300, 220)).save(expected[train / path.name])
     assert same_pictures(sorted(train.glob("*")), sorted(tests.glob("*"))) == expected
     prints = [fingerprint(path) for path in paintings]
     distances = [(a ^ b).bit_count() for i, a in enumerate(prints) for b in prints[:i]]

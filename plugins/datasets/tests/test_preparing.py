@@ -159,8 +159,8 @@ def test_frames_of_realestate_become_chunks_once(re10k, say, monkeypatch):
     _, following = say("prepare", "re10k", re10k)
     out, following = say(*shlex.split(following)[1:])
     assert "2 of 640 x 360" in out and "problems  0" in out
-    words = "scenes.short_side=360 scenes.multiple=1"
-    assert following == f"train experiment=paper_head scenes=re10k scenes.root={re10k} {words}"
+    use = f"scenes=re10k scenes.root={re10k} scenes.short_side=360 scenes.multiple=1"
+    assert following == f"train experiment=paper_head {use}"
     # A torn video leaves its clip out, and no chunk is written over.
     (re10k / "videos" / "ID3.mp4").write_bytes((re10k / "videos" / "ID1.mp4").read_bytes()[:1500])
     camera_list(re10k / "train" / "dd.txt", "https://www.youtube.com/watch?v=ID3")
@@ -261,10 +261,8 @@ def test_a_folder_of_styles_gets_lines_to_fill_in(tmp_path, say):
     assert "0 of 2 pictures have a text" in say("prepare", "styles", root)[0]
     (root / "captions.jsonl").write_text('{"image": "01.jpg", "text": "red waves"}\n')
     assert "1 of 2 pictures have a text" in say("prepare", "styles", root)[0]
-    assert (root / "captions.jsonl").read_text().splitlines() == [
-        '{"image": "00.jpg", "text": ""}',
-        '{"image": "01.jpg", "text": "red waves"}',
-    ]
+    rows = [json.loads(line) for line in (root / "captions.jsonl").read_text().splitlines()]
+    assert rows == [{"image": "00.jpg", "text": ""}, {"image": "01.jpg", "text": "red waves"}]
     out, following = say("check", root)
     assert "texts     1\n" in out and following == f"train experiment=paper_head styles=folder styles.root={root}"
 

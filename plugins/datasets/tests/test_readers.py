@@ -30,10 +30,8 @@ def test_a_clip_of_any_name_is_written_nowhere(tmp_path, monkeypatch):
     torch.save([clips[0] | {"key": key}], data / "train" / "0.torch")
     (data / "train" / "index.json").write_text(json.dumps({key: "0.torch"}))
     before = set(tmp_path.rglob("*"))
-    assert Re10kScenes(root=str(data), short_side=28).read(0, [0, 1]).names == (
-        "______outside_00000",
-        "______outside_00001",
-    )
+    names = Re10kScenes(root=str(data), short_side=28).read(0, [0, 1]).names
+    assert names == ("______outside_00000", "______outside_00001")
     assert set(tmp_path.rglob("*")) == before
 
 
@@ -57,10 +55,9 @@ def test_re10k_chunks(tmp_path):
     # 64 x 36 is cut to 64 x 32 and scaled by 7/8; the principal point stays in the middle.
     expected = torch.tensor([[0.8 * 56, 0, 28], [0, 1.4 * 36 * 7 / 8, 14], [0, 0, 1]])
     torch.testing.assert_close(views.cameras.intrinsics[0, 0], expected)
-    with pytest.raises(ValueError, match="not there"):
-        scenes.num_views(1)
-    with pytest.raises(ValueError, match="outside"):
-        scenes.num_views(2)
+    for scene, told in ((1, "not there"), (2, "outside")):
+        with pytest.raises(ValueError, match=told):
+            scenes.num_views(scene)
     (folder / "000001.torch").write_bytes(b"nonsense")
     with pytest.raises(ValueError, match="chunk of clips"):
         scenes.num_views(1)

@@ -93,10 +93,9 @@ def _project(points: Float[Tensor, "M P 3"]) -> Float[Tensor, "M P 2"]:
 
 
 def _project_jacobian(points: Float[Tensor, "M P 3"]) -> Float[Tensor, "M P 2 3"]:
-    inverse = 1 / points[..., 2].clamp_min(0.05)
-    zero = torch.zeros_like(inverse)
-    x, y = -points[..., 0] * inverse.square(), -points[..., 1] * inverse.square()
-    return torch.stack([inverse, zero, x, zero, inverse, y], dim=-1).unflatten(-1, (2, 3))
+    inverse = 1 / points[..., 2:].clamp_min(0.05)  # M P 1
+    slopes = -points[..., :2] * inverse.square()
+    return torch.cat([torch.diag_embed(inverse.expand_as(slopes)), slopes[..., None]], dim=-1)
 
 
 def _motion_jacobian(points: Float[Tensor, "M P 3"]) -> Float[Tensor, "M P 3 6"]:

@@ -34,11 +34,8 @@ def smooth_path(cameras: Cameras, frames: int) -> Cameras:
         path[:, :3, 3] = PchipInterpolator(key_times, pose[keys, :3, 3])(times)
         path[:, :3, :3] = RotationSpline(key_times, Rotation.from_matrix(pose[keys, :3, :3]))(times).as_matrix()
         path_intrinsics = PchipInterpolator(key_times, intrinsics[keys])(times)
-    like = cameras.intrinsics
     return Cameras(
-        world_from_camera=torch.as_tensor(path, dtype=like.dtype, device=like.device)[None],
-        intrinsics=torch.as_tensor(path_intrinsics, dtype=like.dtype, device=like.device)[None],
-        size=cameras.size,
+        *(torch.as_tensor(each)[None].to(cameras.intrinsics) for each in (path, path_intrinsics)), cameras.size
     )
 
 
@@ -59,8 +56,7 @@ def _sway(pose: np.ndarray, frames: int, radius: float = 0.06) -> np.ndarray:
     """Once around a circle in the image plane, looking at what is straight ahead at unit distance."""
     angle = np.linspace(0, 2 * np.pi, frames, endpoint=False)
     local = np.tile(np.eye(4), (frames, 1, 1))
-    offset = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(frames)], axis=1)
-    local[:, :3, 3] = offset
-    angles = np.stack([np.arctan(offset[:, 1]), -np.arctan(offset[:, 0])], 1)
-    local[:, :3, :3] = Rotation.from_euler("xy", angles).as_matrix()
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    local[:, 0, 3], local[:, 1, 3] = x, y
+    local[:, :3, :3] = Rotation.from_euler("xy", np.stack([np.arctan(y), -np.arctan(x)], 1)).as_matrix()
     return pose @ local

@@ -68,7 +68,7 @@ def colors(harmonics: Float[Tensor, "*batch K 3"], directions: Float[Tensor, "*b
     """The colours that 3DGS shows along unit vectors: ``max(sum_k Y_k harmonics_k + 0.5, 0)``."""
     degree = degree_of(harmonics.shape[-2])
     if degree == 0:
-        return (CONSTANT * harmonics[..., 0, :] + 0.5).clamp_min(0)
+        return rgb_from_constant(harmonics[..., 0, :]).clamp_min(0)
     weights = basis(directions, degree)  # ... K
     return ((weights[..., None] * harmonics).sum(-2) + 0.5).clamp_min(0)
 

@@ -1,5 +1,6 @@
 """Moving images along a flow: backward sampling and forward splatting."""
 
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -26,10 +27,16 @@ def backward_warp(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"
 def sample_at(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"]) -> Float[Tensor, "M C H W"]:
     """Sample ``image`` at each pixel's centre displaced by ``flow`` pixels, exactly; zero outside."""
     height, width = image.shape[-2:]
-    x = torch.arange(width, dtype=flow.dtype, device=flow.device) + 0.5
-    y = torch.arange(height, dtype=flow.dtype, device=flow.device) + 0.5
-    grid = torch.stack([(x + flow[:, 0]) * (2 / width) - 1, (y[:, None] + flow[:, 1]) * (2 / height) - 1], dim=-1)
+    centres = (pixels(flow) + 0.5 + flow).movedim(1, -1)
+    grid = centres * flow.new_tensor([2 / width, 2 / height]) - 1
     return F.grid_sample(image, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
+
+
+def pixels(like: Float[Tensor, "*batch H W"]) -> Float[Tensor, "2 H W"]:
+    """Column and row of each pixel, counted from 0, with the dtype and device of ``like``."""
+    height, width = like.shape[-2:]
+    ranges = (torch.arange(side, dtype=like.dtype, device=like.device) for side in (width, height))
+    return torch.stack(torch.meshgrid(*ranges, indexing="xy"))
 
 
 class ForwardWarp(NamedTuple):
@@ -50,8 +57,7 @@ def softmax_splat(
     count, channels, height, width = image.shape
     weight = importance.exp()
     source = torch.cat([image * weight, weight], dim=1).flatten(2)  # M C+1 HW
-    x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, 0]
-    y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1]
+    x, y = (pixels(flow) + flow).unbind(1)
     finite = x.isfinite() & y.isfinite()
     x, y = x.nan_to_num(-9.0, -9.0, -9.0), y.nan_to_num(-9.0, -9.0, -9.0)
     left, top = x.floor(), y.floor()
@@ -85,20 +91,16 @@ def reproject(
     target_from_source: Float[Tensor, "M 4 4"],
 ) -> Reprojected:
     """Move every pixel's point into the target's camera; depth is along the source's z axis, 0 where unknown."""
-    height, width = depth.shape[-2:]
-    y = torch.arange(height, dtype=depth.dtype, device=depth.device) + 0.5
-    x = torch.arange(width, dtype=depth.dtype, device=depth.device) + 0.5
-    y, x = torch.meshgrid(y, x, indexing="ij")
-    pixels = torch.stack([x, y, torch.ones_like(x)]).flatten(1)  # 3 HW
-    points = torch.linalg.solve(source_intrinsics, pixels.expand(depth.shape[0], -1, -1)) * depth.flatten(1)[:, None]
+    shape = height, width = depth.shape[-2:]
+    centres = F.pad((pixels(depth) + 0.5).flatten(1), (0, 0, 0, 1), value=1.0)  # 3 HW
+    points = torch.linalg.solve(source_intrinsics, centres.expand(depth.shape[0], -1, -1)) * depth.flatten(1)[:, None]
     in_target = target_from_source[:, :3, :3] @ points + target_from_source[:, :3, 3:]
     homogeneous = target_intrinsics @ in_target
     projected = homogeneous[:, :2] / homogeneous[:, 2:].clamp_min(1e-8)  # M 2 HW
     limit = projected.new_tensor([[width], [height]])
     inside = ((projected >= 0) & (projected <= limit)).all(1) & (in_target[:, 2] > 0) & (depth.flatten(1) > 0)
-    shape = (height, width)
     return Reprojected(
-        (projected - pixels[:2]).unflatten(2, shape), in_target[:, 2].unflatten(1, shape), inside.unflatten(1, shape)
+        (projected - centres[:2]).unflatten(2, shape), in_target[:, 2].unflatten(1, shape), inside.unflatten(1, shape)
     )
 
 
@@ -110,14 +112,10 @@ def depth_around(
     Interpolated depth would be that of neither side at an edge.
     """
     height, width = depth.shape[-2:]
-    y = torch.arange(height, dtype=depth.dtype, device=depth.device)[:, None] + displacement[:, 1]
-    x = torch.arange(width, dtype=depth.dtype, device=depth.device) + displacement[:, 0]
+    x, y = (pixels(depth) + displacement).unbind(1)
     neighbours = []
-    for down in (torch.floor, torch.ceil):
-        for across in (torch.floor, torch.ceil):
-            column, row = across(x).clamp(0, width - 1).long(), down(y).clamp(0, height - 1).long()
-            neighbours.append(
-                depth.flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, (height, width))
-            )
+    for down, across in product((torch.floor, torch.ceil), repeat=2):
+        column, row = across(x).clamp(0, width - 1).long(), down(y).clamp(0, height - 1).long()
+        neighbours.append(depth.flatten(1).gather(1, (row * width + column).flatten(1)).view_as(depth))
     depths = torch.stack(neighbours)
     return depths.amin(0), depths.amax(0)

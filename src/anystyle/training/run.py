@@ -192,7 +192,7 @@ def objective(config: DictConfig) -> dict[str, Any]:
 
     Options of terms that are not chosen, such as a recipe's, are left aside.
     """
-    # One name needs no brackets, so that a sweep may leave out one term a job: `without=style,content`.
+    # One name needs no brackets, so that a sweep may leave out one term per job: `without=style,content`.
     without = [config.without] if isinstance(config.without, str) else list(config.without)
     for name in without:
         catalog().find("loss", name)

@@ -53,7 +53,7 @@ def bounds(name: str, pair: Sequence[int]) -> tuple[int, int]:
 
 
 def check_sides(low: int, high: int, *, width: int | None, multiple: int) -> None:
-    """Refuse heights between which no multiple of the backbone's patch lies, and a width that is none."""
+    """Refuse heights between which no multiple of the backbone's patch lies, and a width that is not one."""
     if -(-low // multiple) > high // multiple:
         raise UserError(
             f"training.heights=[{low}, {high}]: the backbone's patches are {multiple} pixels high, and no multiple of "

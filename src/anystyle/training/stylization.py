@@ -38,9 +38,9 @@ class StylizationTraining(Training):
     Args:
         stylizer: Its branch is trained.
         losses: The terms of the objective by name, each with its weight.
-        images: Images a step over all processes; with n views a scene that is ``images // n`` scenes, and the same
-            number for each process (published: 36 a process).
-        batch_size: Scenes a step, instead of ``images``.
+        images: Images per step over all processes; with n views per scene that is ``images // n`` scenes, the same
+            number in each process (published: 36 images per process).
+        batch_size: Scenes per step, instead of ``images``.
         context_views: Least and greatest number of views of a scene.
         view_power: Numbers of views are drawn in proportion to this power of themselves.
         spread: ``any`` views of a scene, or the published ``bounded`` window of a video.

@@ -21,21 +21,28 @@ from anystyle.registry.schema import check, option
 from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 
+
+def _or_none(hint: Any) -> Any:
+    return hint | None
+
+
 RANGES: Mapping[str, Any] = {
     "seed": Annotated[int, Range(ge=0, le=(1 << 63) - 1)],
     "workers": Annotated[int, Range(ge=0, le=256, description="0 reads in the training's own process")],
     "validation_steps": Count,
     "checkpoint.every_steps": AtLeastOne,
     "checkpoint.every_minutes": Positive,
-    "average": Annotated[float, Range(gt=0, lt=1, description="a decay such as 0.999, or null")] | None,
-    "explosion": Annotated[float, Range(gt=1, description="a factor such as 1000, or null to let losses grow")] | None,
+    "average": _or_none(Annotated[float, Range(gt=0, lt=1, description="a decay such as 0.999, or null")]),
+    "explosion": _or_none(
+        Annotated[float, Range(gt=1, description="a factor such as 1000, or null to let losses grow")]
+    ),
     "resume": Literal["auto", "never", "changed"],
     "loggers": Annotated[list[str], Range(description="such as loggers=[tensorboard]")],
-    "trainer.max_time": Annotated[str, Range(description="days and time as DD:HH:MM:SS")] | None,
-    "trainer.profiler": Annotated[str, Range(description="simple, advanced or pytorch")] | None,
+    "trainer.max_time": _or_none(Annotated[str, Range(description="days and time as DD:HH:MM:SS")]),
+    "trainer.profiler": _or_none(Annotated[str, Range(description="simple, advanced or pytorch")]),
     "trainer.deterministic": bool | Literal["warn"] | None,
-    "trainer.gradient_clip_val": NonNegative | None,
-    "trainer.accumulate_grad_batches": AtLeastOne | None,
+    "trainer.gradient_clip_val": _or_none(NonNegative),
+    "trainer.accumulate_grad_batches": _or_none(AtLeastOne),
     **dict.fromkeys(("fast_dev_run", "skip_outliers", "export.half"), bool),
     **{f"trainer.{name}": AtLeastOne for name in ("max_steps", "log_every_n_steps", "val_check_interval", "num_nodes")},
 }

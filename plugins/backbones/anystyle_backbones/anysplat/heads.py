@@ -7,12 +7,13 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle import contracts
 from anystyle.nn.attention import Block, Mlp
 from anystyle.types import Attributes, Cameras
-from anystyle_backbones.heads import CameraReader, DptGaussians, centred_cameras, rotation_of
+from anystyle_backbones.heads import CameraRegressor, DptGaussians, centred_cameras, rotation_of
 
 
-class CameraHead(CameraReader):
+class CameraHead(CameraRegressor):
     """Predicts each view's pose encoding from its camera token, in ``iterations`` passes through ``trunk``."""
 
     def __init__(self, dim: int, trunk: Iterable[Block], *, iterations: int, focal_epsilon: float) -> None:
@@ -51,7 +52,7 @@ class CameraHead(CameraReader):
         return centred_cameras(camera_from_world.mT, origin, tangent, size)
 
 
-class GaussianHead(DptGaussians):
+class GaussianHead(DptGaussians, contracts.GaussianHead):
     """A DPT whose decoded map is joined by features of the image itself, which a convolution computes.
 
     The channels of the result: opacity (1), scale (3), quaternion xyzw (4), harmonics (3 K, colour-major), and the

@@ -113,8 +113,9 @@ class Aggregator(contracts.Aggregator):
         super().__init__()
         self.dim, self.rope_base, self.checkpointing = dim, rope_base, checkpointing
         self.taps = tuple(taps)
-        self.frame_blocks, self.global_blocks = (nn.ModuleList(make_block() for _ in range(depth)) for _ in range(2))
-        self.head_dim = dim // self.frame_blocks[0].attn.heads
+        frame_blocks, global_blocks = ([make_block() for _ in range(depth)] for _ in range(2))
+        self.head_dim = dim // frame_blocks[0].attn.heads
+        self.frame_blocks, self.global_blocks = nn.ModuleList(frame_blocks), nn.ModuleList(global_blocks)
 
     @property
     def sites(self) -> tuple[Site, ...]:

@@ -10,6 +10,7 @@ from torch import Tensor
 from anystyle import contracts
 from anystyle.geometry.harmonics import damping, rotation_matrices
 from anystyle.geometry.transforms import multiply, wxyz_from_matrix, wxyz_from_xyzw
+from anystyle.geometry.warp import pixels
 from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry
 
 
@@ -52,12 +53,9 @@ class Adapter(contracts.Adapter):
         self, cameras: Cameras, depth: Float[Tensor, "B V H W"], offset: Float[Tensor, "B V H W 2"]
     ) -> Float[Tensor, "B V H W 3"]:
         """Points in the world, of pixels moved by ``offset``."""
-        height, width = depth.shape[-2:]
-        v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
-        pixels = torch.stack([u, v], dim=-1).to(depth) + offset
+        places = pixels(depth).movedim(0, -1) + 0.5 + offset
         intrinsics = cameras.intrinsics[:, :, None, None]
-        focal = intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2]
-        xy = (pixels - intrinsics[..., :2, 2]) / focal
+        xy = (places - intrinsics[..., :2, 2]) / intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2]
         ray = F.pad(xy, (0, 1), value=1.0)
         if self.depth_along == "ray":
             ray = F.normalize(ray, dim=-1)

@@ -157,6 +157,7 @@ def start_geometry(embedder: Embedder, geometry_head: GeometryHead) -> None:
 def start_gaussians(head: GaussianHead, *, scale_min: float, scale_max: float) -> None:
     """Gaussians of their pixel's colour, about its footprint's size, of opacity 0.9, on the depth head's surface."""
     bias = initial.start_small(head.dpt.output[2])
+    assert isinstance(head.direct, nn.Sequential)
     # The adapter's unit is a tenth of two pixels.
     fraction = (initial.PIXELS / 0.2 - scale_min) / (scale_max - scale_min)
     bias[2:5] = math.log(fraction / (1 - fraction))

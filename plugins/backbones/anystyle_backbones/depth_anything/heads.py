@@ -7,12 +7,13 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle import contracts
 from anystyle.nn.tokens import normalised
 from anystyle.types import Attributes, Cameras
-from anystyle_backbones.heads import CameraReader, DptGaussians, centred_cameras, rotation_of
+from anystyle_backbones.heads import CameraRegressor, DptGaussians, centred_cameras, rotation_of
 
 
-class CameraDecoder(CameraReader):
+class CameraDecoder(CameraRegressor):
     """Reads pose encodings off camera tokens, in one pass."""
 
     def __init__(self, dim: int) -> None:
@@ -48,7 +49,7 @@ def direct_layers(width: int) -> nn.Sequential:
     return nn.Sequential(*(module for pair in layers for module in pair))
 
 
-class GaussianHead(DptGaussians):
+class GaussianHead(DptGaussians, contracts.GaussianHead):
     """A decoder without a norm ahead of it, whose decoded map is joined by features of the image itself.
 
     The channels of the result: offset of the pixel (2), scale (3), quaternion (4), harmonics (3 K, colour-major),

@@ -14,16 +14,8 @@ GOLDEN = golden("anystyle_golden")
 
 
 def adapter(**options: Any) -> Adapter:
-    defaults = {
-        "sh_degree": 4,
-        "sh_mode": "reference",
-        "pixel_center": 0.0,
-        "fuse": False,
-        "voxel_size": 0.05,
-        "scale_unit": 0.001,
-        "scale_max": 0.3,
-    }
-    return Adapter(**(defaults | options))
+    published = {"sh_degree": 4, "sh_mode": "reference", "pixel_center": 0.0, "scale_unit": 0.001, "scale_max": 0.3}
+    return Adapter(**(published | {"fuse": False, "voxel_size": 0.05} | options))
 
 
 def plane(depth: Tensor) -> Geometry:
@@ -104,11 +96,10 @@ def test_attributes_are_fused_before_they_are_activated() -> None:
         for rank in range(int(clusters.valid[scene].sum())):
             inside = clusters.index[scene] == rank
             share = clusters.weight[scene, inside]
-            logit = share @ raw.opacity[scene].flatten()[inside]
-            scale = share @ raw.scale[scene].flatten(0, 2)[inside]
-            torch.testing.assert_close(gaussians.opacities[scene, rank], logit.sigmoid())
-            expected = 0.001 * torch.nn.functional.softplus(scale)
-            torch.testing.assert_close(gaussians.scales[scene, rank], expected)
+            opacity = (share @ raw.opacity[scene].flatten()[inside]).sigmoid()
+            scale = 0.001 * torch.nn.functional.softplus(share @ raw.scale[scene].flatten(0, 2)[inside])
+            torch.testing.assert_close(gaussians.opacities[scene, rank], opacity)
+            torch.testing.assert_close(gaussians.scales[scene, rank], scale)
     padding = ~clusters.valid
     assert padding.any() and not gaussians.opacities[padding].any()
     assert torch.equal(gaussians.rotations[padding], torch.tensor([[1.0, 0, 0, 0]]).expand(int(padding.sum()), 4))

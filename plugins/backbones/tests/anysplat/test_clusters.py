@@ -28,34 +28,14 @@ def test_each_voxel_is_a_softmax_of_its_points() -> None:
         torch.testing.assert_close(fused[0, rank].double(), share @ values[0, inside].double(), rtol=1e-5, atol=1e-6)
 
 
-def test_scenes_of_a_batch_do_not_mix_and_are_padded() -> None:
-    many, few = points(4, 1, 64), points(5, 1, 64, half=0.2)
-    logits, values = hashed(6, (2, 64), -1, 1), hashed(7, (2, 64, 2))
-    both = voxel_clusters(torch.cat([many, few]), logits, 0.3)
-    fused = fuse(values, both)
-    assert both.valid.sum(1)[0] > both.valid.sum(1)[1]
-    for scene, places in enumerate((many, few)):
-        alone = voxel_clusters(places, logits[scene : scene + 1], 0.3)
-        count = alone.means.shape[1]
-        assert both.valid[scene].tolist() == [place < count for place in range(both.valid.shape[1])]
-        assert torch.equal(both.means[scene, :count], alone.means[0])
-        assert torch.equal(fused[scene, :count], fuse(values[scene : scene + 1], alone)[0])
-        assert not fused[scene, count:].any() and not both.means[scene, count:].any()
-
-
 def test_gradients_reach_points_confidences_and_values() -> None:
-    places, logits, values = (
-        points(10, 1, 12).double(),
-        hashed(11, (1, 12), -1, 1).double(),
-        hashed(12, (1, 12, 2)).double(),
-    )
+    inputs = (points(10, 1, 12), hashed(11, (1, 12), -1, 1), hashed(12, (1, 12, 2)))
 
     def fused(places: Tensor, logits: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
         clusters = voxel_clusters(places, logits, 1.0)
         return clusters.means, fuse(values, clusters)
 
-    inputs = tuple(tensor.requires_grad_() for tensor in (places, logits, values))
-    assert torch.autograd.gradcheck(fused, inputs)
+    assert torch.autograd.gradcheck(fused, tuple(tensor.double().requires_grad_() for tensor in inputs))
 
 
 @pytest.mark.parametrize("span", [3, 2**20, 2**40])

@@ -28,24 +28,11 @@ STYLED = {
     "no-pos": ("opacity", "scale", "rotation", "color"),
 }
 # Published tensors that our modules have no use for, with their shapes.
-TEXT_ADAPTER = {"text_adapter.mlp.0.weight": (512, 512), "text_adapter.mlp.0.bias": (512,)} | {
-    "text_adapter.mlp.2.weight": (512, 512),
-    "text_adapter.mlp.2.bias": (512,),
-}
-TINY = {
-    "native_resolution": 70,
-    "dim": 64,
-    "embed_depth": 2,
-    "depth": 6,
-    "heads": 4,
-    "taps": (1, 3, 4, 5),
-    "camera_depth": 2,
-    "camera_heads": 4,
-    "depth_features": 32,
-    "depth_channels": (8, 12, 16, 16),
-    "gaussian_channels": (8, 12, 16, 16),
-    "voxel_size": 0.04,
-}
+SHAPES = {"weight": (512, 512), "bias": (512,)}
+TEXT_ADAPTER = {f"text_adapter.mlp.{layer}.{kind}": shape for layer in (0, 2) for kind, shape in SHAPES.items()}
+TRUNK = {"native_resolution": 70, "dim": 64, "embed_depth": 2, "depth": 6, "heads": 4, "taps": (1, 3, 4, 5)}
+CHANNELS = {"depth_features": 32, "depth_channels": (8, 12, 16, 16), "gaussian_channels": (8, 12, 16, 16)}
+TINY = TRUNK | CHANNELS | {"camera_depth": 2, "camera_heads": 4, "voxel_size": 0.04}
 TINY_HIDDEN = {"head/direct": 16}
 FULL_HIDDEN = {"head/direct": 256}
 
@@ -173,12 +160,10 @@ def check_gaussians(
             for statistic, expected in record["stats"][name].items():
                 power = values.double().mean(0) if statistic == "mean" else values.double().square().mean(0).sqrt()
                 np.testing.assert_allclose(power.numpy(), expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
-        assert gaussians.harmonics[batch, valid].norm().item() == pytest.approx(
-            record["stats"]["harmonics_l2"], rel=1e-4
-        )
-        check_samples(
-            found, rows_of(scene, batch, [s["voxel"] for s in record["samples"]], voxel_size), record["samples"]
-        )
+        norm = gaussians.harmonics[batch, valid].norm().item()
+        assert norm == pytest.approx(record["stats"]["harmonics_l2"], rel=1e-4)
+        samples = record["samples"]
+        check_samples(found, rows_of(scene, batch, [sample["voxel"] for sample in samples], voxel_size), samples)
 
 
 def check_samples(found: Mapping[str, Tensor], rows: Sequence[int], samples: Sequence[Mapping[str, Any]]) -> None:
@@ -213,7 +198,12 @@ def check_case(network: Network, case: str) -> None:
                 features = branch.aggregator(scene.stem, injected(branch, embedding.vector))
                 for tokens, layer in zip(features.values(), record[f"{placement}/none"]["style_layers"], strict=True):
                     check(tokens.data, layer)
-            check_styles(network, branch, scene, embedding, {k: record[f"{placement}/{k}"] for k in STYLED}, voxel_size)
+            styled = every_degree(branch, scene, embedding)
+            check_raw(styled, record[f"{placement}/none"], "raw_style")
+            for name, attributes in STYLED.items():
+                mixed = scene.attributes.with_(styled.with_degree(branch.sh_degree), attributes)
+                gaussians = network.backbone.adapter(mixed, scene.geometry, scene.clusters)
+                check_gaussians(scene, gaussians, record[f"{placement}/{name}"]["gaussians"], voxel_size)
 
 
 def injected(branch: StyleBranch, vector: Tensor) -> Any:
@@ -229,23 +219,6 @@ def every_degree(branch: StyleBranch, scene: Scene, embedding: StyleEmbedding) -
     attributes = branch(scene, embedding)
     branch.sh_degree = degree
     return attributes
-
-
-def check_styles(
-    network: Network,
-    branch: StyleBranch,
-    scene: Scene,
-    embedding: StyleEmbedding,
-    records: Mapping[str, Any],
-    voxel_size: float,
-) -> None:
-    styled = every_degree(branch, scene, embedding)
-    check_raw(styled, records["none"], "raw_style")
-    styled = styled.with_degree(branch.sh_degree)
-    for name, attributes in STYLED.items():
-        mixed = scene.attributes.with_(styled, attributes)
-        gaussians = network.backbone.adapter(mixed, scene.geometry, scene.clusters)
-        check_gaussians(scene, gaussians, records[name]["gaussians"], voxel_size)
 
 
 @pytest.mark.parametrize("case", ["tiny_v3_56x84", "tiny_b2_v2_70x70"])
