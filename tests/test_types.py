@@ -71,9 +71,7 @@ def test_joined_scenes_hold_what_each_held():
         data = torch.full((1, 2, 4, 3), fill)
         tokens = Tokens(data, grid=(2, 2))
         pixels = torch.full((1, 2, 6, 8), fill)
-        attributes = Attributes(
-            pixels, data.new_zeros(1, 2, 6, 8, 3), data.new_zeros(1, 2, 6, 8, 4), data.new_zeros(1, 2, 6, 8, 3, 1)
-        )
+        attributes = Attributes(pixels, *(data.new_zeros(1, 2, 6, 8, *shape) for shape in ((3,), (4,), (3, 1))))
         views = Views(torch.full((1, 2, 3, 6, 8), fill), names=("a", "b"))
         return Scene(views, tokens, {4: tokens}, Geometry(cameras(1, 2), pixels, pixels), attributes, None)
 

@@ -79,11 +79,8 @@ def display_p3():
         if (name := entry[:4].decode()) in columns:
             numbers = [round(value * 65536) for value in columns[name]]
             data[offset + 8 : offset + 20] = b"".join(value.to_bytes(4, "big", signed=True) for value in numbers)
-    return (
-        bytes(data)
-        .replace("sRGB".encode("utf-16-be"), "DiP3".encode("utf-16-be"))
-        .replace(b"sRGB built", b"DiP3 built")
-    )
+    renamed = bytes(data).replace("sRGB".encode("utf-16-be"), "DiP3".encode("utf-16-be"))
+    return renamed.replace(b"sRGB built", b"DiP3 built")
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "heic"])

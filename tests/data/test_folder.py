@@ -170,13 +170,8 @@ def test_bad_inputs_end_in_one_line(tmp_path):
         frame.sample_rate = 44100
         for packet in [*stream.encode(frame), *stream.encode()]:
             container.mux(packet)
-    for name, words in (
-        ("empty", "no images in the folder"),
-        ("absent", "no folder, image or video"),
-        ("bad.png", "no photograph can be read"),
-        ("bad.mp4", "is not a video"),
-        ("sound.mp4", "no video in it"),
-    ):
+    told = {"empty": "no images in the folder", "absent": "no folder, image or video", "sound.mp4": "no video in it"}
+    for name, words in (told | {"bad.png": "no photograph can be read", "bad.mp4": "is not a video"}).items():
         with pytest.raises(ValueError, match=words) as caught:
             read(tmp_path / name)
         assert "\n" not in str(caught.value)

@@ -61,13 +61,8 @@ def test_what_is_no_picture_is_refused_in_one_line(tmp_path):
     (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:20000])
     noise.save(tmp_path / "whole.jpg")
     (tmp_path / "half.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:2000])
-    for name, words in (
-        ("text.png", "is not an image"),
-        ("empty.jpg", "is not an image"),
-        ("half.png", "damaged"),
-        ("half.jpg", "damaged"),
-        ("absent.png", "there is no image"),
-    ):
+    told = {"text.png": "is not an image", "empty.jpg": "is not an image", "absent.png": "there is no image"}
+    for name, words in (told | {"half.png": "damaged", "half.jpg": "damaged"}).items():
         with pytest.raises(ValueError, match=words) as caught:
             open_image(tmp_path / name)
         assert "\n" not in str(caught.value) and name in str(caught.value)

@@ -68,12 +68,9 @@ def test_files_that_are_not_ours_are_refused(tmp_path):
     data = (tmp_path / "whole.safetensors").read_bytes()
     (tmp_path / "half.safetensors").write_bytes(data[: len(data) // 2])
     save_file({"a": torch.zeros(1)}, tmp_path / "plain.safetensors")
-    for name, words in (
-        ("half", "truncated or no safetensors"),
-        ("plain", "not a safetensors file that anystyle wrote"),
-        ("absent", "there is no weights file"),
-        ("whole", "holds the weights of a backbone, but those of a branch"),
-    ):
+    told = {"half": "truncated or no safetensors", "plain": "not a safetensors file that anystyle wrote"}
+    told |= {"absent": "there is no weights file", "whole": "weights of a backbone, but those of a branch"}
+    for name, words in told.items():
         with pytest.raises(ValueError, match=words):
             load_part(tmp_path / f"{name}.safetensors", network(), "branch")
 

@@ -1,7 +1,8 @@
 """Arrays and tensors from untrusted files."""
 
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,25 +23,21 @@ MAX_BYTES = 1 << 30
 def read_array(path: Path, *, what: str = "array of numbers") -> NDArray[np.float64]:
     """Read a NPY file of finite real numbers, as double precision."""
     regular(path, most=MAX_BYTES, what=what)
-    try:
+    with _parsing(path, what):
         # Mapped first: a header that announces more than the file holds allocates nothing.
         return _numbers(np.load(path, mmap_mode="r", allow_pickle=False))
-    except Exception as error:  # damaged headers make the parser raise nearly anything
-        raise _refusal(path, what, error) from None
 
 
 def read_arrays(path: Path, numbers: Sequence[str], names: Sequence[str] = (), *, what: str) -> dict[str, NDArray]:
     """Read arrays of finite real numbers, in double precision, and arrays of text of a NPZ file by their keys."""
     regular(path, most=MAX_BYTES, what=what)
-    try:
+    with _parsing(path, what):
         with zipfile.ZipFile(path) as archive:
             if sum(item.file_size for item in archive.infolist()) > MAX_BYTES:
                 raise UserError(f"more than {MAX_BYTES:,} bytes unpacked")
         with np.load(path, allow_pickle=False) as stored:
             values: dict[str, NDArray] = {name: _numbers(stored[name]) for name in numbers}
             return values | {name: np.array([str(item) for item in stored[name].ravel().tolist()]) for name in names}
-    except Exception as error:  # as above
-        raise _refusal(path, what, error) from None
 
 
 def check_tensors(tensors: Iterable[Tensor]) -> None:
@@ -57,17 +54,13 @@ def read_tensors(path: str | Path, *, what: str = "file of tensors", device: str
     """Read what ``torch.save`` wrote, if it holds tensors and plain values only."""
     path = regular(path, most=None, what=what)
     require(path.stat().st_size, str(path), "another machine has more")
-    try:
+    with _parsing(path, what):
         with zipfile.ZipFile(path) as archive:  # PyTorch writes checksums and does not compare them
             if (damaged := archive.testzip()) is not None:
                 raise UserError(f"{damaged} in it is damaged")
         values = torch.load(path, map_location=device, weights_only=True)
         check_tensors(value for value in tree_leaves(values) if isinstance(value, Tensor))
         return values
-    except Exception as error:  # damaged archives and pickles raise nearly anything
-        if "Weights only load failed" in str(error):
-            error = UserError("it holds more than tensors and plain values")
-        raise _refusal(path, what, error) from None
 
 
 def _numbers(values: NDArray) -> NDArray[np.float64]:
@@ -78,8 +71,14 @@ def _numbers(values: NDArray) -> NDArray[np.float64]:
     return np.array(values, np.float64)
 
 
-def _refusal(path: Path, what: str, error: Exception) -> Exception:
-    if isinstance(error, MemoryError):
-        return error
-    reason = one_line(str(error).partition("\n")[0]).strip("'\"")[:200] or type(error).__name__
-    return UserError(f"{path} is not a valid {what} ({reason})")
+@contextmanager
+def _parsing(path: Path, what: str) -> Iterator[None]:
+    """Refuse a file in one line if the block fails: what is damaged makes parsers raise nearly anything."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:
+        more = "it holds more than tensors and plain values" if "Weights only load failed" in str(error) else ""
+        reason = more or one_line(str(error).partition("\n")[0]).strip("'\"")[:200] or type(error).__name__
+        raise UserError(f"{path} is not a valid {what} ({reason})") from None

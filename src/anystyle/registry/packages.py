@@ -24,7 +24,8 @@ def source_file(module: str, root: Path | None) -> Path | None:
 def packages() -> list[Path]:
     """The folder of each plugin's top-level module, for all plugins that are not built in; none is imported."""
     modules = {(row.target.partition(":")[0].partition(".")[0], row.root) for row in catalog() if row.defined is None}
-    return sorted({_folder(module, root) for module, root in modules} - {None, paths.PACKAGE})
+    folders = {_folder(module, root) for module, root in modules}
+    return sorted(folder for folder in folders if folder is not None and folder != paths.PACKAGE)
 
 
 @cache

@@ -61,8 +61,8 @@ def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: 
         if isinstance(statement, ast.FunctionDef) and statement.name == "__init__":
             signature = statement.args
             _, *plain = signature.posonlyargs + signature.args
-            defaults = dict(zip(reversed(plain), reversed(signature.defaults), strict=False))
-            defaults |= zip(signature.kwonlyargs, signature.kw_defaults, strict=True)
+            defaults = dict(zip(signature.kwonlyargs, signature.kw_defaults, strict=True))
+            defaults.update(zip(reversed(plain), reversed(signature.defaults), strict=False))
             given = (argument for argument in [*plain, *signature.kwonlyargs] if argument.arg not in runtime)
             return [_written(item.arg, item.annotation, defaults.get(item)) for item in given]
     inherited: list[str] = []

@@ -16,7 +16,7 @@ MULTIPLE = 16
 
 def test_gives_cameras_or_a_verdict(plugin: Subject[PoseEstimator]) -> None:
     """Of photographs it gives views with cameras, or the verdict alone, in which case the cameras ``failed``."""
-    result = _once(plugin)
+    result = _run(plugin)
     assert isinstance(result, PosedViews | Verdict), f"a {type(result).__name__}"
     verdict = result.verdict if isinstance(result, PosedViews) else result
     given = f"a {type(result).__name__} of trust {verdict.trust!r}"
@@ -27,7 +27,7 @@ def test_gives_cameras_or_a_verdict(plugin: Subject[PoseEstimator]) -> None:
 
 def test_views_have_cameras_and_sources(plugin: Subject[PoseEstimator]) -> None:
     """All views have one size, a rigid camera, a source, and the points that they show, in the order of the input."""
-    result = _once(plugin)
+    result = _run(plugin)
     if isinstance(result, Verdict):
         return
     views, given = result.views, [source.name for source in result.sources]
@@ -45,17 +45,13 @@ def test_views_have_cameras_and_sources(plugin: Subject[PoseEstimator]) -> None:
 
 def test_gives_the_same_twice(plugin: Subject[PoseEstimator]) -> None:
     """A new instance gives the same cameras for the same photographs."""
-    first, second = _once(plugin), _run(plugin)
+    first, second = _run(plugin), _run.__wrapped__(plugin)
     assert type(first) is type(second), "cameras one time, and none the other"
     if isinstance(first, PosedViews) and isinstance(second, PosedViews):
         asserts.same(second.views, first.views, "the views of a second run")
 
 
 @cache
-def _once(plugin: Subject[PoseEstimator]) -> PosedViews | Verdict:
-    return _run(plugin)
-
-
 def _run(plugin: Subject[PoseEstimator]) -> PosedViews | Verdict:
     views = photographs()
     named = zip(views.names, views.images[0], strict=True)

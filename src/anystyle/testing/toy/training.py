@@ -27,8 +27,10 @@ class ToyTraining(Training):
         self.backbone, self.batch_size, self.learning_rate = backbone, batch_size, learning_rate
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
-        given = {"seed": seed, "batch_size": self.batch_size, "multiple": self.backbone.patch_size}
-        return SceneBatches(required(scenes, "scenes"), context_views=(2, 2), spread="any", **given)
+        known, patch = required(scenes, "scenes"), self.backbone.patch_size
+        return SceneBatches(
+            known, seed=seed, batch_size=self.batch_size, context_views=(2, 2), spread="any", multiple=patch
+        )
 
     def exports(self) -> Mapping[str, nn.Module]:
         return {"backbone": self.backbone}
