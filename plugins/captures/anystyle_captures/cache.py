@@ -18,13 +18,10 @@ from anystyle.io.atomic import atomic_path
 from anystyle.paths import expanded
 
 logger = logging.getLogger(__name__)
-
 VARIABLE = "ANYSTYLE_CACHE"
 """The environment variable that names the folder; ``off`` disables the cache."""
-
 LIMIT = 1 << 30
 """Bytes; the least recently used files are deleted first."""
-
 FORMAT = "5"
 """To be changed whenever the same photographs and options give another result, which invalidates old entries."""
 

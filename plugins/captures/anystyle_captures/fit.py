@@ -23,9 +23,9 @@ from anystyle.io.limits import require
 from anystyle.methods.order import canonical_order
 from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
-from anystyle.types import Cameras, Geometry, OnProgress, Progress, Reconstructed, Scene, Views, no_progress
+from anystyle.types import Cameras, Geometry, OnProgress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.fit_loop import FitLoop, FitOptions, FitProgress, FitResult
+from anystyle_captures.fit_loop import FitLoop, FitOptions, FitResult
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
 from anystyle_captures.stereo import plane_sweep
@@ -49,20 +49,14 @@ PRESETS = {
     "full": Preset(1 << 16, 200_000, FitOptions(num_steps=3600, final_steps=800, scale_weight=0.001)),
 }
 """Photographs are not enlarged, so that ``full`` is their own size."""
-
 STEREO_SIDE = 256
 """Short side in pixels of the images that stereo reads: Gaussians move to where larger ones have them."""
-
 UNSUPPORTED, BEHIND = 0.1, 0.05
-"""Fraction of the pixels without a supported depth that is lifted nevertheless; Gaussians of the backdrop, relative to
-all others, and as many around the photographs."""
-
+"""Fraction of pixels without a supported depth that are lifted; Gaussians of the backdrop, relative to all others."""
 MAX_VIEWS, MANY = 320, 48
 """Photographs that are read by default, and from which on Gaussians and steps grow in proportion to them."""
-
 MAX_UNEXPLAINED = 0.01
-"""Above this median fraction of unexplained pixels something moved: static captures have at most 0.0001, one of which
-4 % move 0.02."""
+"""Median fraction of unexplained pixels: static captures have at most 0.0001, one of which 4 % move 0.02."""
 
 QualityLevel = Literal["draft", "good", "best", "full"]
 
@@ -75,14 +69,14 @@ class Fit(Reconstruction):
             pixels, ``good`` 384, ``best`` 768, and ``full`` that of the photographs.
         num_gaussians: At the start, about, instead of the quality's, which is for up to 48 views, and grows with more.
         num_steps: Likewise.
-        degree: Of the spherical harmonics of colours.
+        degree: The degree of the spherical harmonics of colours.
         holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it,
             together with those that show the same; the final steps see all views. Fewer views are not held out; 0 holds
             out none.
         state: A file to write the fit to as it goes, and to resume it from.
         keep: Whether the fitted scene is cached, and read from the cache when the same photographs are fitted again
             with the same options.
-        seed: Of all randomness.
+        seed: The seed of all randomness.
     """
 
     needs_cameras = True
@@ -155,7 +149,7 @@ class Fit(Reconstruction):
                 masks=masks,
                 state=self.state,
                 keep=self.keep,
-                on_progress=lambda state: on_progress(Progress(str(state), state.step / state.num_steps)),
+                on_progress=on_progress,
             )
         if result.unexplained > MAX_UNEXPLAINED:
             logger.warning(
@@ -165,10 +159,10 @@ class Fit(Reconstruction):
             )
         measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
         measures |= {"train_psnr": result.train_psnr, "unexplained": result.unexplained}
-        measures |= {"kept": 1.0} if result.cached else {}
-        measures |= {"twins": float(twins)} if (twins := views.images.shape[1] - len(photographs)) else {}
-        if result.heldout is not None:
-            measures |= {f"heldout_{name}": value for name, value in result.heldout._asdict().items()}
+        found = {"kept": float(result.cached), "twins": float(views.images.shape[1] - len(photographs))}
+        measures |= {name: value for name, value in found.items() if value}
+        heldout = {} if result.heldout is None else result.heldout._asdict()
+        measures |= {f"heldout_{name}": value for name, value in heldout.items()}
         views = to_paint(views, result, renderer)
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
@@ -196,7 +190,7 @@ def fit_photographs(
     masks: Masks | None = None,
     state: Path | None = None,
     keep: bool = False,
-    on_progress: Callable[[FitProgress], None] = lambda progress: None,
+    on_progress: OnProgress = no_progress,
 ) -> FitResult:
     """Fit Gaussians to photographs: initial ones by stereo, then all their attributes through the renderer.
 
@@ -215,16 +209,9 @@ def fit_photographs(
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
         start = partial(_initial, images, cameras, points, masks, num_gaussians, options.seed)
-        loop = FitLoop(
-            images,
-            cameras,
-            start(training, training),
-            renderer,
-            options,
-            heldout=hidden,
-            initial_of_heldout=partial(start, range(len(images)), hidden),
-            masks=masks,
-        )
+        added = partial(start, range(len(images)), hidden)
+        first = start(training, training)
+        loop = FitLoop(images, cameras, first, renderer, options, heldout=hidden, initial_of_heldout=added, masks=masks)
         if state is None:
             return loop.run(on_progress).as_dict()
         _resume(loop, state, key, images.device)
@@ -248,10 +235,9 @@ def _resume(loop: FitLoop, path: Path, key: str, device: torch.device) -> None:
     """Resume an interrupted fit. A state of other photographs or options is renamed, and the fit starts afresh."""
     if not path.is_file():
         return
-    what = "state of a fit; name another file as state, or delete it"
-    written = read_tensors(path, what=what, device=device)
+    written = read_tensors(path, what="state of a fit; name another file as state, or delete it", device=device)
     if not isinstance(written, dict) or set(written) != {"key", "fit"}:
-        raise UserError(f"{path} is no state of a fit; name another file as state")
+        raise UserError(f"{path} is not a state of a fit; name another file as state")
     if written["key"] != key:
         aside = next(name for number in count(1) if not (name := path.with_name(f"{path.name}.{number}")).exists())
         path.rename(aside)

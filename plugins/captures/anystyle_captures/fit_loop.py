@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,7 +14,7 @@ from anystyle.contracts import Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.methods.gaussian_parameters import GaussianParameters
-from anystyle.types import Cameras, Gaussians
+from anystyle.types import Cameras, Gaussians, OnProgress, Progress, no_progress
 from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
@@ -28,58 +28,34 @@ RATES = {
     "harmonics": (0.001, 0.3),  # of the others
 }
 """The learning rate at the start, and the fraction of it that is left at the end."""
-
 OPACITY = 0.4
-"""Of every Gaussian at the start."""
-
+"""The opacity of every Gaussian at the start."""
 DSSIM = 0.2
 """Weight of 1 - SSIM beside L1, as in 3D Gaussian splatting."""
-
 MIN_OPACITY, MAX_FOOTPRINTS, NEAREST = 0.02, 60.0, 0.03
 """A Gaussian is removed below this opacity, above this scale in footprints, or nearer to a camera than this fraction of
 the median depth."""
-
 MAX_OPACITY = 0.999
-"""Of the Gaussians that stand in for those left out."""
-
+"""The largest opacity of the Gaussians that stand in for those left out."""
 PRUNE_EVERY = 200
 """Steps between removals of Gaussians."""
-
 NEAREST_EXPOSURES = 2
 """A held-out view takes the exposure of this many nearest training views."""
 
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How Gaussians are fitted.
-
-    ``scale_weight`` is the weight of the mean scale in footprints: where photographs are plain, large Gaussians
-    reproduce them as well as small ones, and only small ones leave room for the strokes of a style.
-    """
+    """How Gaussians are fitted."""
 
     num_steps: int = 1000  # of one view each
     half_resolution: float = 0.6  # fraction of the steps that is taken at half the resolution
     dropout: float = 0.1  # fraction of the Gaussians that a step leaves out, as DropGaussian (Park et al. 2025)
     degree: int = 0  # of the spherical harmonics
     exposure_lr: float = 0.002  # falls to a tenth; 0 disables exposure
-    scale_weight: float = 0.0
+    scale_weight: float = 0.0  # of the mean scale in footprints: only small Gaussians leave room for a style's strokes
     evaluate_every: int = 200
     final_steps: int = 0  # on all views, if some are held out; the reported quality precedes them
     seed: int = 0
-
-
-class FitProgress(NamedTuple):
-    """The state of a fit."""
-
-    step: int
-    num_steps: int
-    train_psnr: float
-    heldout_psnr: float | None
-    seconds_left: float  # estimated
-
-    def __str__(self) -> str:
-        psnr, which = (self.train_psnr, "") if self.heldout_psnr is None else (self.heldout_psnr, " on views held out")
-        return f"step {self.step} of {self.num_steps}: {psnr:.1f} dB{which}, {self.seconds_left:.0f} s left"
 
 
 @dataclass(frozen=True)
@@ -156,7 +132,7 @@ class Exposures:
 
 
 class FitLoop:
-    """A fit, of one view a step, that can be interrupted and resumed between any two steps."""
+    """A fit, one view per step, which can be interrupted and resumed between any two steps."""
 
     def __init__(
         self,
@@ -176,23 +152,19 @@ class FitLoop:
         self.training = [view for view in self.useful if view not in heldout]
         self.generator = torch.Generator().manual_seed(options.seed)
         self.step = 0
-        self.order: list[int] = []  # of the views that are left of a pass
-        self.recent: list[float] = []
+        self.quality: Quality | None = None
+        self.order, self.recent = list[int](), list[float]()  # views that are left of a pass; the PSNR of the last pass
         self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
         self.heldout = heldout
         size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
         self.half_masks = None if masks is None else masks.resized(size)
-        self.splats = self._parameters(_round_gaussians(initial, options.degree), initial.footprints)
+        self.splats = _parameters(_round_gaussians(initial, options.degree), initial.footprints)
         self._carve()
         self.background = background(renderer, self.gaussians(), cameras)
         self.nearest = NEAREST * float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.exposures = Exposures(cameras, self.training)
         self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
-        self.quality: Quality | None = None
-
-    def _parameters(self, gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
-        return GaussianParameters(gaussians, {name: rate for name, (rate, _) in RATES.items()}, footprints)
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, a batch of one scene."""
@@ -245,8 +217,7 @@ class FitLoop:
     def _shrink(self) -> None:
         """Add the gradient of the mean scale in footprints, for the Gaussians that the view shows.
 
-        Adam takes whole steps however small a gradient is: a Gaussian outside of the view would shrink to nothing, and
-        leave a hole where a new view looks past the photographs.
+        Adam takes whole steps for the smallest gradient: Gaussians outside of the view would shrink and leave holes.
         """
         scales = self.splats.parameters["scales"]
         if self.options.scale_weight and scales.grad is not None:
@@ -278,7 +249,7 @@ class FitLoop:
 
     @torch.enable_grad()
     def _share_in_empty_pixels(self) -> Float[Tensor, " N"]:
-        """Of the pixels that each Gaussian covers in the training views, those where nothing is there."""
+        """Which share of the pixels that each Gaussian covers in the training views is empty."""
         assert self.masks is not None
         gaussians = self.gaussians().detach()
         gray = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_()
@@ -290,11 +261,7 @@ class FitLoop:
                 row += torch.autograd.grad(color, gray, pixels, retain_graph=True)[0][0, :, 0, 0]
         return covered[0] / covered[1].clamp_min(1e-6)
 
-    def run(
-        self,
-        on_progress: Callable[[FitProgress], None] = lambda progress: None,
-        on_checkpoint: Callable[[], None] | None = None,
-    ) -> FitResult:
+    def run(self, on_progress: OnProgress = no_progress, on_checkpoint: Callable[[], None] = lambda: None) -> FitResult:
         """Take all steps; the final ones are on all views."""
         started, first = time.monotonic(), self.step
         while self.step < self.last_step:
@@ -307,23 +274,17 @@ class FitLoop:
             if self.step == self.options.num_steps and self.options.final_steps:
                 self._include_heldout()
             pace = (time.monotonic() - started) / (self.step - first)
-            heldout, left = self.quality and self.quality.psnr, pace * (self.last_step - self.step)
-            on_progress(FitProgress(self.step, self.last_step, self.mean, heldout, left))
-            if on_checkpoint is not None:
-                on_checkpoint()
+            psnr, which = (self.quality.psnr, " on views held out") if self.quality else (self.mean, "")
+            left = f"{pace * (self.last_step - self.step):.0f} s left"
+            line = f"step {self.step} of {self.last_step}: {psnr:.1f} dB{which}, {left}"
+            on_progress(Progress(line, self.step / self.last_step))
+            on_checkpoint()
         self._carve()
-        exposures = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach()
-        shares = [
-            unexplained(self.render(view), self.images[view, None], self._measured([view])) for view in self.training
-        ]
+        gains, biases = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach().split(3, 1)
+        pairs = ((self.render(view), self.images[view, None], self._measured([view])) for view in self.training)
+        unlike = float(torch.cat([unexplained(*pair) for pair in pairs]).median())
         return FitResult(
-            gaussians=self.gaussians().detach(),
-            gains=1 + exposures[:, :3],
-            biases=exposures[:, 3:],
-            steps=self.step,
-            train_psnr=self.mean,
-            heldout=self.quality,
-            unexplained=float(torch.cat(shares).median()),
+            self.gaussians().detach(), 1 + gains, biases, self.step, self.mean, self.quality, unexplained=unlike
         )
 
     @property
@@ -333,7 +294,7 @@ class FitLoop:
 
     @property
     def last_step(self) -> int:
-        """The step at which it ends."""
+        """The number of all steps."""
         return self.options.num_steps + (self.options.final_steps if self.heldout else 0)
 
     def _include_heldout(self) -> None:
@@ -345,7 +306,7 @@ class FitLoop:
             added = self.initial_of_heldout()
             new = _round_gaussians(added, self.options.degree)
             together = Gaussians.cat([self.gaussians().detach(), new], dim=1)
-            self.splats = self._parameters(together, torch.cat([self.splats.units, added.footprints]))
+            self.splats = _parameters(together, torch.cat([self.splats.units, added.footprints]))
         self.training = self.useful
         self._carve()
         self.exposures.train(self.training)
@@ -402,6 +363,10 @@ def background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Fl
     """The colour that a renderer shows where there is nothing."""
     nothing = replace(gaussians, opacities=torch.zeros_like(gaussians.opacities)).map(lambda tensor: tensor[:, :1])
     return renderer(nothing, cameras.select([0])).color[0, 0].mean((1, 2))[:, None, None]
+
+
+def _parameters(gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
+    return GaussianParameters(gaussians, {name: rate for name, (rate, _) in RATES.items()}, footprints)
 
 
 def _round_gaussians(initial: InitialGaussians, degree: int) -> Gaussians:

@@ -14,10 +14,8 @@ from anystyle_captures.stereo import StereoDepth
 
 BACKDROP = 3.0
 """The backdrop, such as sky, lies behind nearly all known depths by this factor."""
-
 SURROUND = 0.5
 """The backdrop extends beyond every photograph by this fraction of its sides."""
-
 NEIGHBORS = 3
 """The scale of a Gaussian is the mean distance of this many nearest ones."""
 
@@ -72,9 +70,7 @@ def backdrop(
 ) -> InitialGaussians:
     """Large Gaussians behind everything, at pixels whose depth no view supports: sky, and what is too far or plain.
 
-    Without them, floaters near the cameras would have to show what lies at infinity. As many lie around the
-    photographs, in the colours of their borders: a new view that looks past all photographs sees no hole. There is
-    none at masked pixels, nor beside those at the border.
+    As many lie around the photographs, in the colours of their borders; there are none at or beside masked pixels.
     """
     supported, counted = stereo.support >= 1, stereo.depth.isfinite()
     bottom, right = (round(SURROUND * side) for side in images.shape[-2:])

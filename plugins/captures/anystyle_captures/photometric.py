@@ -16,7 +16,6 @@ from anystyle import compiled as compilation
 RADIUS, SIGMA = 5, 1.5
 """The published window of SSIM (Wang et al. 2004): a Gaussian of 11 x 11 pixels."""
 C1, C2 = 0.01**2, 0.03**2
-
 LARGE = 0.15
 """A difference of colours, in [0, 1], that neither noise nor exposure makes."""
 
@@ -133,10 +132,7 @@ def blur(planes: Float[Tensor, "P H W"]) -> Float[Tensor, "P H W"]:
 
 @compiled
 def _blur(planes: Array, window: Array, blurred: Array) -> None:
-    """Write planes ``[P, H, W]`` convolved with a symmetric window of 11 in both directions.
-
-    Taps are written out, so that a row is one loop of vector instructions that stores once.
-    """
+    """Write planes ``[P, H, W]`` convolved with a symmetric window of 11; each row is one vectorised loop."""
     num_planes, height, width = planes.shape
     w0, w1, w2, w3, w4, w5 = window[5], window[4], window[3], window[2], window[1], window[0]
     tall = np.zeros((height + 10, width), np.float32)

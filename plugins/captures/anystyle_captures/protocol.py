@@ -32,6 +32,8 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress, Progress, Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
+from anystyle_captures.camera_files.lens import Lens
+from anystyle_captures.camera_files.samples import write_transforms
 from anystyle_captures.fit import Fit, QualityLevel, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import quality_of
@@ -62,14 +64,14 @@ class Captures(Protocol):
         stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
         captures: Folders of photographs, or videos.
         poses: ``sfm`` estimates cameras; ``known`` takes those stored beside the photographs.
-        quality: Of the fit; see :class:`~anystyle_captures.fit.Fit`.
-        num_gaussians: Instead of the quality's.
-        num_steps: Instead of the quality's.
-        short_side: Of the views in pixels, instead of the quality's.
+        quality: The quality of the fit; see :class:`~anystyle_captures.fit.Fit`.
+        num_gaussians: Instead of the quality's; likewise ``num_steps`` and ``short_side`` of the views in pixels.
+        num_steps: See ``num_gaussians``.
+        short_side: See ``num_gaussians``.
         holdout: Every ``holdout``-th view is held out.
         take: At most this many photographs, evenly spaced.
         lpips_backbone: The network of LPIPS.
-        weights: Of LPIPS: ``auto`` takes a stand-in where the published ones are missing, and reports it.
+        weights: The weights of LPIPS: ``auto`` takes a stand-in where the published ones are missing, and reports it.
 
     Raises:
         UserError: There is no capture.
@@ -181,13 +183,11 @@ class Captures(Protocol):
         multiple, enlarge = self.stylizer.backbone.patch_size, self.short_side is not None
         short_side = self.short_side or self.fit.short_side or self.stylizer.backbone.resolution
         if self.poses == "known":
-            views, sources = read_views(
-                [path], short_side=short_side, multiple=multiple, max_views=self.take, enlarge=enlarge
-            )
-            views, sources, known = from_files(views, sources)
+            read = read_views([path], short_side=short_side, multiple=multiple, max_views=self.take, enlarge=enlarge)
+            views, sources, known = from_files(*read)
             views, masks = masked_views(views, sources, {}, empty=True)
-            cameras = known.of_all([source.name for source in sources])
-            return replace(views, cameras=cameras), None, {"trust": "known", "masks": masks}
+            posed = replace(views, cameras=known.of_all([source.name for source in sources]))
+            return posed, None, {"trust": "known", "masks": masks}
         estimator = StructureFromMotion(keep=False)
         originals = read_originals([path], longest=estimator.longest, max_views=self.take)
         posed = estimator(originals, short_side=short_side, enlarge=enlarge, multiple=multiple, on_progress=no_progress)
@@ -218,22 +218,15 @@ class Captures(Protocol):
         """Gaussians fitted to the other views; no step sees those held out."""
         views = views.to(self.stylizer.device)
         assert views.cameras is not None
-        num_gaussians, options = self.fit.amounts(views.images.shape[1])
+        count, options = self.fit.amounts(views.images.shape[1])
+        given, masks = (views.images[0], views.cameras, self.stylizer.renderer), Masks.of(views)
+        options = replace(options, final_steps=0)
         result = fit_photographs(
-            views.images[0],
-            views.cameras,
-            self.stylizer.renderer,
-            num_gaussians=num_gaussians,
-            options=replace(options, final_steps=0),
-            points=points,
-            heldout=chosen,
-            masks=Masks.of(views),
+            *given, num_gaussians=count, options=options, points=points, heldout=chosen, masks=masks
         )
         with torch.no_grad():
-            masked = Masks.of(views) is not None
-            exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masked)
-            encode = encoder(self.stylizer)
-            scene = scene_of_fit(views, encode(views), result, self.stylizer.renderer)
+            exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masks is not None)
+            scene = scene_of_fit(views, encoder(self.stylizer)(views), result, self.stylizer.renderer)
         return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1])
 
     @torch.no_grad()
@@ -263,16 +256,15 @@ def write_wall(folder: Path, num_views: int = 6, size: int = 64) -> None:
     (folder / "images").mkdir(parents=True)
     texture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (24, 24, 3), dtype=np.uint8))
     wall = texture.resize((4 * size, 4 * size), Image.Resampling.BICUBIC)
-    frames = []
-    for view in range(num_views):
+    images = [folder / "images" / f"{view:02d}.png" for view in range(num_views)]
+    poses = np.tile(np.eye(4), (num_views, 1, 1))
+    for view, image in enumerate(images):
         # Cameras move along the wall at a distance of 2 focal lengths: 1 is half an image.
         left = size + 4 * view
-        wall.crop((left, size, left + size, 2 * size)).save(folder / "images" / f"{view:02d}.png")
-        pose = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's axes
-        pose[0, 3] = 2 * left / size
-        frames.append({"file_path": f"images/{view:02d}.png", "transform_matrix": pose.tolist()})
-    intrinsics = {"fl_x": size, "fl_y": size, "cx": size / 2, "cy": size / 2, "w": size, "h": size}
-    write_json(folder / "transforms.json", {**intrinsics, "frames": frames})
+        wall.crop((left, size, left + size, 2 * size)).save(image)
+        poses[view, 0, 3] = 2 * left / size
+    lens = Lens((size, size), (size, size), (size / 2, size / 2))
+    write_transforms(folder / "transforms.json", images, [*poses], lens)
 
 
 def _mean(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:

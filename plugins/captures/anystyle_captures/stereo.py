@@ -22,32 +22,22 @@ from anystyle.types import Cameras, Value
 from anystyle_captures.stereo_kernels import aggregate, best_planes, sweep
 
 logger = logging.getLogger(__name__)
-
 NUM_PLANES, NUM_NEIGHBORS = 64, 4
 """Planes of inverse depth, and views that each view is compared with."""
-
 ANGLE = 6.0
 """Preferred angle in degrees between the rays of two neighbours."""
-
 RADIUS = 3
 """Windows have a side of ``2 RADIUS + 1`` pixels."""
-
 SMALL_PENALTY, LARGE_PENALTY = np.float32(0.05), np.float32(0.6)
-"""Of a step to the next plane between two pixels, and of any other step between two pixels of the same grey value, in
-units of 1 - ZNCC."""
-
+"""Costs, in units of 1 - ZNCC, of a step to the next plane and of any other one between pixels of equal grey value."""
 TOLERANCE, COARSE_TOLERANCE = 0.03, 0.05
 """Relative difference up to which two depths agree."""
-
 NEAR, FAR = (0.01, 0.7), (0.98, 2.5)
 """The quantile of a view's known depths, and the factor on it, at which the first and the last plane lie."""
-
 COARSE_SIDE, COARSE_PLANES = 112, 128
 """Short side in pixels, and planes, of the sweep that finds the range of depths of a scene."""
-
 MASKED = 0.5
 """The grey value of masked pixels."""
-
 MIN_POINTS = 32
 """A view with fewer known points searches the depths of all views together."""
 
@@ -123,19 +113,12 @@ def _ranges(rig: _Rig, points: Sequence[Tensor]) -> Float[Tensor, "V 2"]:
     pooled = torch.cat(depths)
     if len(pooled) == 0:
         raise UserError("stereo was given no point in front of a camera; leave points out to search for them")
-    rows = []
-    for depth in depths:
-        known = depth if len(depth) >= MIN_POINTS else pooled
-        rows.append(torch.stack([known.quantile(quantile) * factor for quantile, factor in (NEAR, FAR)]))
-    return torch.stack(rows)
+    known = [depth if len(depth) >= MIN_POINTS else pooled for depth in depths]
+    return torch.stack([torch.stack([one.quantile(q) * factor for q, factor in (NEAR, FAR)]) for one in known])
 
 
 def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> list[list[int]]:
-    """For each view, those that together show its points, each point under about the preferred angle.
-
-    They are chosen greedily: a point counts the less the more of the chosen views show it already, so that one view
-    at least sees what lies at the border of the image.
-    """
+    """For each view, greedily, those that together show its points, each under about the preferred angle."""
     height, width = size
     centers, result = rig.centers, []
     for view, shown in enumerate(points):
@@ -146,8 +129,7 @@ def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> li
             cosine = torch.cosine_similarity(away, shown.double() - centers[other], dim=-1)
             angle = torch.rad2deg(cosine.clamp(-1, 1).acos())
             spread = torch.where(angle < ANGLE, 0.5 * ANGLE, 1.3 * ANGLE)
-            weight = (-0.5 * ((angle - ANGLE) / spread).square()).exp()
-            weights.append(weight * inside * (other != view))
+            weights.append((-0.5 * ((angle - ANGLE) / spread).square()).exp() * inside * (other != view))
         weight, seen, best = torch.stack(weights), torch.zeros(len(shown), dtype=torch.float64), []
         for _ in range(NUM_NEIGHBORS):
             gain = (weight / (1 + 2 * seen)).sum(1)
@@ -161,7 +143,7 @@ def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> li
 
 
 def _nearest(rig: _Rig, view: int) -> list[int]:
-    """The views nearest to a view, of those that look the same way where there are any."""
+    """The views nearest to a view, preferring similar viewing directions."""
     centers, axes = rig.centers, rig.camera_from_world[:, 2, :3]
     distance = (centers - centers[view]).norm(dim=-1)
     away = axes @ axes[view] < 0.5

@@ -13,7 +13,6 @@ from anystyle.compiled import CONTRACT, compiled
 Array = np.ndarray
 
 kernel = partial(compiled, fastmath=CONTRACT | {"reassoc"})
-
 NOISE = np.float32(2e-4)
 """Added to variances of grey values in [0, 1], so that the noise of flat regions does not correlate."""
 

@@ -67,9 +67,8 @@ class StructureFromMotion(PoseEstimator):
         if len(registered) < MIN_VIEWS:
             return result.verdict
         sizes = [(original.size[1], original.size[0]) for original in originals]
-        size = common_size(
-            [sizes[view] for view in registered], short_side=short_side, multiple=multiple, enlarge=enlarge
-        )
+        shown = [sizes[view] for view in registered]
+        size = common_size(shown, short_side=short_side, multiple=multiple, enlarge=enlarge)
         require_views(len(registered), size)
         pictures, intrinsics = [], []
         for view in registered:
@@ -131,10 +130,8 @@ def find_cameras(
         try:
             from anystyle_captures.sfm.colmap import search
         except ImportError as error:
-            raise ImportError(
-                "cameras from photos need pycolmap: pip install pycolmap (for Linux and Windows on x86-64, macOS on "
-                "arm64)"
-            ) from error
+            needed = "pip install pycolmap (for Linux and Windows on x86-64, macOS on arm64)"
+            raise ImportError(f"cameras from photos need pycolmap: {needed}") from error
         found: list[tuple[SparseModel, Verdict]] = []
         longer = max(max(photograph.size) for photograph in arranged)
         for options, further in zip_longest(searches, searches[1:]):

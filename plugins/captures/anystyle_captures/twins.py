@@ -13,7 +13,6 @@ from anystyle.paths import natural
 from anystyle.types import Cameras
 
 logger = logging.getLogger(__name__)
-
 SIDE = 64
 """Shorter side in pixels that photographs are compared at."""
 ALIKE = 0.98

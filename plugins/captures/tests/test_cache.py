@@ -5,13 +5,8 @@ import os
 import pytest
 import torch
 
-from anystyle.methods.colors import colors_alone
-from anystyle.types import Views
 from anystyle_captures import cache
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.fit import Fit
-from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.known_scene import photographed_wall
 
 
 @pytest.fixture(autouse=True)
@@ -82,23 +77,3 @@ def test_nothing_is_kept_where_that_is_asked_for(monkeypatch, folder):
     monkeypatch.setenv(cache.VARIABLE, "off")
     assert [cached("fit", "a", value)[1] for _ in range(2)] == [False, False]
     assert not folder.exists()
-
-
-def test_a_scene_is_fitted_once_and_again_for_other_options():
-    """The second fit of the same photographs is the first one's, to the bit; of other options it is another."""
-    images, cameras, _ = photographed_wall(num_views=5)
-    views = Views(images[None], cameras=cameras)
-
-    def fit(**options):
-        reconstruction = Fit(quality="draft", num_gaussians=300, num_steps=4, holdout=0, **options)
-        return reconstruction(views, colors_alone, CpuRenderer())
-
-    first, again, other, alone = fit(), fit(), fit(seed=1), fit(keep=False)
-    assert "kept" not in first.measures and again.measures["kept"] == 1
-    assert "kept" not in other.measures and "kept" not in alone.measures
-    fits = [result.scene.gaussians for result in (first, again, alone, other)]
-    assert all(gaussians is not None for gaussians in fits)
-    for name in ("means", "scales", "opacities", "harmonics"):
-        values = [getattr(gaussians, name) for gaussians in fits]
-        assert torch.equal(values[0], values[1]) and torch.equal(values[0], values[2]), name
-        assert values[0].shape != values[3].shape or not torch.equal(values[0], values[3]), name

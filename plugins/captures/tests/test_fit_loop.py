@@ -66,14 +66,13 @@ def test_only_supported_pixels_are_lifted(photographs):
 
 def test_a_view_held_out_comes_out(photographs):
     """A fit gains several dB on a view that it never saw, and is reported as it renders."""
-    before = fit(photographs, FitOptions(num_steps=120, evaluate_every=40)).heldout_quality()
-    reports = []
-    result = fit(photographs, FitOptions(num_steps=120, evaluate_every=40)).run(reports.append)
+    loop, reports = fit(photographs, FitOptions(num_steps=120, evaluate_every=40)), []
+    before, result = loop.heldout_quality(), loop.run(reports.append)
     assert before is not None and result.heldout is not None
     assert result.heldout.psnr > before.psnr + 3 and result.heldout.psnr > 24
     assert result.heldout.ssim > before.ssim and result.heldout.matched_psnr > result.heldout.psnr
-    assert [report.step for report in reports] == [40, 80, 120]
-    assert reports[-1].heldout_psnr == result.heldout.psnr and reports[-1].seconds_left == 0
+    assert [round(120 * report.done) for report in reports] == [40, 80, 120]
+    assert reports[-1].line == f"step 120 of 120: {result.heldout.psnr:.1f} dB on views held out, 0 s left"
     images, cameras, _ = photographs
     render = RENDERER(result.gaussians, cameras.select([3])).color[0]
     exposed = (render * result.gains[3, :, None, None] + result.biases[3, :, None, None]).clamp(0, 1)

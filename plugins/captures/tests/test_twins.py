@@ -56,6 +56,11 @@ def test_pictures_that_are_alike_from_different_places_are_no_twins():
     assert groups(images, rig(7)) == [[view] for view in range(7)]
 
 
+@pytest.mark.parametrize(("number", "every", "expected"), [(24, 8, (4, 12, 20)), (8, 8, (4,)), (7, 8, ()), (24, 0, ())])
+def test_every_so_many_th_view_is_held_out(number, every, expected):
+    assert held_out([[view] for view in range(number)], every) == expected
+
+
 def test_the_same_photographs_are_held_out_in_any_order():
     names = [f"view{number}" for number in range(12)]
     images, cameras, _ = photographed_wall(num_views=12)

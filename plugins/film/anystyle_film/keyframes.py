@@ -85,8 +85,7 @@ class Keyframes:
         mean = scene.cameras.intrinsics[0].double().mean(0).cpu().numpy()
         usual = 2 * np.degrees(np.arctan(height / 2 / mean[1, 1]))
         views = np.array([usual if key.fov is None else key.fov for key in self.document.keyframes])
-        times = np.linspace(0, self.times[-1], frames)
-        path = np.tile(np.eye(4), (frames, 1, 1))
+        times, path = np.linspace(0, self.times[-1], frames), np.tile(np.eye(4), (frames, 1, 1))
         if len(poses) == 1:
             path[:], views = poses[0], np.repeat(views, frames)
         else:

@@ -45,7 +45,7 @@ class Mp4(Format):
         frames: How many frames; ``None`` is 72, or what a file of keyframes lasts.
         fps: Frames per second.
         scale: Size of a frame relative to the input views.
-        height: Of a frame in pixels, instead of the scale; 1920 is 4K in panoramas.
+        height: Height of a frame in pixels, instead of the scale; 1920 is 4K in panoramas.
         stills: How many frames are also written as JPEG into the folder ``stills``, evenly spaced.
         turns: Whole circles of ``orbit`` (default 1) and ``spiral`` (default 2); less than 1 is a part of a circle, and
             below 0 is the other way.

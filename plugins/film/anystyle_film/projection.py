@@ -22,7 +22,7 @@ OVERLAP = 5.0
 """Degrees that a face reaches beyond a quarter turn, on each side."""
 HALF = math.tan(math.radians(45 + OVERLAP))
 LARGEST = 1920
-"""Pixels; the height of a panorama where only a scale is given is no larger."""
+"""The largest height in pixels of a panorama where only a scale is given."""
 EYES = 1 / 30
 """The distance between the eyes, in distances to the scene: the rule of stereo photography."""
 FACES = (

@@ -100,12 +100,7 @@ SPLIT_DELAY = 0.15
 VISER_DISTANCE = 10.0
 """Scenes are sent at a scale at which they are this far away: viser stores covariances in half precision."""
 LOW_PASS = 0.3
-"""Variance in pixels² that renderers add to a Gaussian in the image; here, pixels are those of the first camera.
-
-A browser's window has more pixels than a photograph: without it, there would be gaps between Gaussians.
-"""
-
-
+"""Variance that renderers add to a Gaussian, in the first camera's pixels²: without it, windows would show gaps."""
 SplatArrays = dict[str, Any]
 """NumPy arrays: the arguments of viser's ``add_gaussian_splats``."""
 

@@ -31,24 +31,15 @@ def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle view``; all other words are Hydra's, as those of ``anystyle stylize``."""
     about = "Look at a scene, and give it styles: photographs, a folder of anystyle stylize, or a file of Gaussians."
     flags = new_parser("view", about)
-    flags.add_argument(
-        "input",
-        type=Path,
-        nargs="?",
-        help="a folder of photographs or of results, a video, or a file of Gaussians; without one, a page where scenes "
-        "are made of what is dropped",
-    )
-    flags.add_argument("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")
-    flags.add_argument(
-        "--no-provenance", action="store_true", help="the page of --html names nothing that it is made of"
-    )
-    flags.add_argument("--port", type=int, default=8080, help="0 takes a free one (default: %(default)s)")
-    flags.add_argument(
-        "--keep", type=Path, default=Path("out/view"), help="stores styles and uploaded images (default: %(default)s)"
-    )
-    flags.add_argument(
-        "--close-after", type=float, metavar="SECONDS", help="end when no browser has been open for so long"
-    )
+    add = flags.add_argument
+    shown = "a folder of photographs or of results, a video, or a file of Gaussians; without one, a page where scenes "
+    add("input", type=Path, nargs="?", help=shown + "are made of what is dropped")
+    add("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")
+    add("--no-provenance", action="store_true", help="the page of --html names nothing that it is made of")
+    add("--port", type=int, default=8080, help="0 takes a free one (default: %(default)s)")
+    kept = "stores styles and uploaded images (default: %(default)s)"
+    add("--keep", type=Path, default=Path("out/view"), help=kept)
+    add("--close-after", type=float, metavar="SECONDS", help="end when no browser has been open for so long")
     return flags
 
 

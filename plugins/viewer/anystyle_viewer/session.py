@@ -14,13 +14,13 @@ from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls, applied, blended
 from anystyle.pipeline.masks import parsed
 from anystyle.pipeline.provenance import note
+from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
 from anystyle.types import Gaussians, Progress
 from anystyle_viewer.server import title_of
 
 _log = logging.getLogger(__name__)
-
 CACHE_SIZE = 8
 """Styled scenes in memory, so that going back to one is instant."""
 MAX_RECENT = 24
@@ -41,6 +41,11 @@ class StyleRequest:
     def styles(self) -> tuple[str, ...]:
         """Both styles, one or none."""
         return tuple(filter(None, (self.style, self.second)))
+
+    @property
+    def controls(self) -> Controls:
+        """How the style is applied."""
+        return Controls(self.strength, self.preserve_color, mask=parsed(self.place) if self.place else None)
 
 
 @dataclass(frozen=True)
@@ -67,10 +72,9 @@ class Session:
         notes: Sequence[str] = (),
     ) -> None:
         self.restyler, self.saved, self.folder, self.notes = restyler, dict(saved or {}), folder, tuple(notes)
+        # Called from the background thread when another style is ready, and when :attr:`status` has changed.
         self.on_change: Callable[[], None] = lambda: None
-        """Called from the background thread when another style is ready."""
         self.on_status: Callable[[], None] = lambda: None
-        """Called from the background thread when :attr:`status` has changed."""
         restored = (kept_json(folder / "session.json", SavedSession) if folder is not None else None) or SavedSession()
         self.recent = list(restored.recent)
         self.current, self.gaussians = StyleRequest(), restyler.unstyled
@@ -122,16 +126,12 @@ class Session:
         request, styles = self.current, self.current.styles
         if any(style in self.saved for style in styles):
             return f"# made from results in {inputs}"
-        command = ["anystyle", "stylize", inputs]
-        for style in styles or ("none",):
-            command += ["--image" if self.image_file(style) else "--text", style]
-        command += ["--mix", f"{request.amount:g}"] if request.second else []
-        strength = request.strength if request.style else 0.0
-        command += ["--strength", f"{strength:g}"] if strength < 1 else []
-        command += ["--preserve-color", f"{request.preserve_color:g}"] if request.preserve_color else []
-        command += ["--mask", request.place] if request.place and request.style else []
-        name = "_".join(slug(Path(style).stem if self.image_file(style) else style) for style in styles)
-        return join([*command, "--out", f"styled-{name or 'unstyled'}", *words])
+        given = tuple(self.image_file(style) or style for style in styles)
+        controls = request.controls if request.style else Controls(0.0, request.preserve_color)
+        name = "_".join(slug(style if isinstance(style, str) else style.stem) for style in given) or "unstyled"
+        mixed = (Mixture(*given, request.amount),) if request.second else given or ("none",)
+        args = Request((inputs,), mixed, (controls,), tuple(words)).args()
+        return join(["anystyle", "stylize", *args, "--out", f"styled-{name}"])
 
     def image_file(self, style: str) -> Path | None:
         """The file of a style that is an uploaded image; a path to any other file is taken as a text."""
@@ -142,13 +142,12 @@ class Session:
         """The Gaussians in a style."""
         if not request.style:
             return self.restyler.unstyled
-        mask = parsed(request.place) if request.place else None
-        controls = Controls(request.strength, request.preserve_color, mask=mask)
+        controls = request.controls
         if request.style in self.saved or request.second in self.saved:
             # The embedding of a saved style is not known: styled scenes are mixed instead.
             first, *others = (self.saved.get(style) or self.scene(StyleRequest(style)) for style in request.styles)
             mixed = blended(first, others[0], request.amount) if others else first
-            weights = self.restyler.mask_weights(mask)
+            weights = self.restyler.mask_weights(controls.mask)
             return mixed if controls == Controls() else applied(controls, self.restyler.unstyled, mixed, weights)
         key = (request.style, request.second, request.amount if request.second else 0.0)
         return self.restyler(self._embedded.get(key, lambda: self._embed(request)).under(controls), self._report)

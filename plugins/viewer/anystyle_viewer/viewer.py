@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import viser
+from torch import Tensor
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.sheet import to_pil
@@ -48,7 +49,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         self._add_save_controls()
         session.on_change, session.on_status = self._style_changed, self._show_status
         self._style_changed()
-        threading.Thread(target=self._render_saved_thumbnails, daemon=True).start()
+        saved = session.saved.items()
+        threading.Thread(target=lambda: [self._render_thumbnail(*one) for one in saved], daemon=True).start()
         self.viser.on_client_connect(self._connected)
         self.viser.on_client_disconnect(self._disconnected)
         self.server = PageServer(
@@ -126,17 +128,16 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             self.tolerance = gui.add_slider("Tolerance", 0.05, 1.0, 0.05, 0.2, hint="Of colours; 1 takes all of them")
             everywhere = gui.add_button("Everywhere")
 
-        def pick(point: Vector | None) -> None:
-            self._point = point
-            self.request(self.style)
-
-        everywhere.on_click(lambda _: pick(None))
+        everywhere.on_click(lambda _: self._pick(None))
         for control in (self.reach, self.tolerance):
             control.on_update(lambda event: event.client and self.request(self.style))
+        self.viser.scene.on_click(modifier="shift")(
+            lambda event: self._pick(surface_point(self.unstyled, event.ray_origin, event.ray_direction))
+        )
 
-        @self.viser.scene.on_click(modifier="shift")
-        def _(event: viser.SceneClickEvent) -> None:
-            pick(surface_point(self.unstyled, event.ray_origin, event.ray_direction))
+    def _pick(self, point: Vector | None) -> None:
+        self._point = point
+        self.request(self.style)
 
     def _place(self) -> str:
         """Where the style goes, in the words of ``--mask``."""
@@ -154,18 +155,14 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             self.seconds = gui.add_slider("Seconds", 1, 20, 1, 4)
             preview, render = gui.add_button("Preview"), gui.add_button("Render MP4")
 
-        def show_count() -> None:
-            number = len(self.path.keyframes)
-            words = f"{number} keyframe{'s' * (number > 1)}."
-            count.content = words if number else "No keyframes: the path goes through the photographs."
+        def set_keyframes(*poses: Tensor) -> None:
+            self.path.keyframes = [*poses]
+            keyframes = f"{len(poses)} keyframe{'s' * (len(poses) > 1)}."
+            count.content = keyframes if poses else "No keyframes: the path goes through the photographs."
 
-        def set_keyframes(camera: viser.CameraHandle | None) -> None:
-            self.path.keyframes = [] if camera is None else [*self.path.keyframes, pose_of(camera)]
-            show_count()
-
-        add.on_click(lambda event: event.client and set_keyframes(event.client.camera))
-        clear.on_click(lambda _: set_keyframes(None))
-        show_count()
+        add.on_click(lambda event: event.client and set_keyframes(*self.path.keyframes, pose_of(event.client.camera)))
+        clear.on_click(lambda _: set_keyframes())
+        set_keyframes()
         preview.on_click(lambda event: event.client and self.path.preview(event.client, self.seconds.value))
 
         def write_video(path: Path, on_frame: OnFrame) -> None:
@@ -180,11 +177,9 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             save = gui.add_button("Download", icon=viser.Icon.DOWNLOAD)
             gui.add_markdown("The command line of what is shown:")
             self.command = gui.add_markdown("")
-
-        def download(client: viser.ClientHandle, name: str) -> None:
-            self._download(client, f"scene.{name}", lambda path, _: self._write_scene(path, name))
-
-        save.on_click(lambda event: event.client and download(event.client, self.format.value))
+        save.on_click(
+            lambda event: event.client and self._download(event.client, f"scene.{self.format.value}", self._write_scene)
+        )
 
     def request(self, style: str) -> None:
         """Request a style with the current values of the controls."""
@@ -230,10 +225,6 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         if self.second.options != titles:
             self.second.options = titles
 
-    def _render_saved_thumbnails(self) -> None:
-        for style, gaussians in self.session.saved.items():
-            self._render_thumbnail(style, gaussians)
-
     def _render_thumbnail(self, style: str, gaussians: Gaussians) -> None:
         self._thumbnails[style] = data_url(to_pil(self.path.thumbnail(gaussians, THUMBNAIL_HEIGHT)))
         self._show_row()
@@ -257,17 +248,14 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         finally:
             note.remove()
 
-    def _write_scene(self, path: Path, name: str) -> None:
+    def _write_scene(self, path: Path, _: OnFrame) -> None:
         session, title = self.session, title_of(self.session.current.style) or "unstyled"
-        if name == "html":
+        if path.suffix == ".html":
             styles = {"unstyled": self.unstyled, **session.cached(), title: session.gaussians}
             styles[title] = styles.pop(title)  # the last one is shown at first
-            cameras, names = self.encoded.cameras, tuple(self.encoded.names)
-            page_title = Path(self._command_words[0]).stem
-            notes = session.notes_on(session.styles())
-            scene = StyledScene(tuple(styles.items()), cameras, names, notes, page_title, offset=self.encoded.offset)
-            export_styles(scene, path, "html")
+            given = tuple(styles.items()), self.encoded.cameras, tuple(self.encoded.names)
+            notes, page_title = session.notes_on(session.styles()), Path(self._command_words[0]).stem
+            export_styles(StyledScene(*given, notes, page_title, offset=self.encoded.offset), path, "html")
         else:
-            notes = session.notes_on(session.current.styles)
-            lines = "\n".join((title, *notes))
-            export(session.gaussians, path, name, notes=lines, offset=self.encoded.offset)
+            lines = "\n".join((title, *session.notes_on(session.current.styles)))
+            export(session.gaussians, path, path.name.partition(".")[2], notes=lines, offset=self.encoded.offset)

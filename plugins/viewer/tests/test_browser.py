@@ -25,7 +25,7 @@ from anystyle_viewer.viewer import Viewer
 
 pytestmark = pytest.mark.slow
 WINDOW = {"width": 1120, "height": 840}
-"""Of the pictures that are compared: viser would squeeze others."""
+"""The aspect of the pictures that are compared: viser would squeeze others."""
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +39,7 @@ def viewer(tmp_path_factory):
 def visit(page, viewer):
     """Open the viewer; returns what the program knows of this browser."""
     before = set(viewer._views)
-    page.set_viewport_size(
-        {"width": 1120, "height": 840}
-    )  # of the pictures that are compared: viser would squeeze others
+    page.set_viewport_size(WINDOW)
     page.goto(viewer.server.url)
     wait(page, "document.body && document.body.innerText.includes('Preserve colour')")
     (number,) = until(lambda: set(viewer._views) - before)

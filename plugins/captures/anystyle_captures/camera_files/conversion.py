@@ -1,7 +1,7 @@
 """Poses and photographs as programs store them, as the core's cameras."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,17 +16,22 @@ from anystyle.io.images import opened
 from anystyle_captures.camera_files.lens import Lens
 
 _log = logging.getLogger(__name__)
-
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's camera looks along -z with y up."""
 FAR = 1e4
 """Cameras further from the origin than so many times their spread are moved there, for 32-bit numbers to hold them."""
 
 
+def files_of(path: Path, suffix: str) -> list[Path]:
+    """The files of a suffix in a folder, or a given one."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [file for file in files if file.suffix.lower() == suffix and file.is_file()]
+
+
 def rigid(matrix: np.ndarray) -> Float64[np.ndarray, "4 4"]:
     """The nearest rigid motion of a stored 3x4 or 4x4 matrix."""
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
-        raise UserError("a pose is no finite 3x4 matrix")
+        raise UserError("a pose is not a finite 3x4 matrix")
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     rotation = u @ vt
     if np.linalg.det(rotation) < 0 or np.abs(rotation - matrix[:3, :3]).max() > 0.02:
@@ -88,14 +93,10 @@ def _upright(stored: StoredCamera, path: Path) -> StoredCamera:
     rotation = turn * [[1, 1, 0], [1, 1, 0], [1, 1, 1]]
     pose = stored.world_from_camera.copy()
     pose[:3, :3] = pose[:3, :3] @ rotation.T
-    undistortion = stored.undistortion
-    if undistortion is not None:
-        apply = _around(undistortion.apply, lay, upright)
-        undistortion = Undistortion(apply, turn @ undistortion.intrinsics @ rotation.T)
-    return StoredCamera(pose, turn @ stored.intrinsics @ rotation.T, (width, height), undistortion)
-
-
-def _around(
-    apply: Callable[[Image.Image], Image.Image], before: Image.Transpose, after: Image.Transpose
-) -> Callable[[Image.Image], Image.Image]:
-    return lambda picture: apply(picture.transpose(before)).transpose(after)
+    straight = stored.undistortion
+    if straight is not None:
+        straight = Undistortion(
+            lambda picture, apply=straight.apply: apply(picture.transpose(lay)).transpose(upright),
+            turn @ straight.intrinsics @ rotation.T,
+        )
+    return StoredCamera(pose, turn @ stored.intrinsics @ rotation.T, (width, height), straight)

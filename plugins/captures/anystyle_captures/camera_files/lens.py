@@ -1,8 +1,6 @@
 """Lenses with radial and tangential distortion, and photographs without it."""
 
 import math
-import signal
-import threading
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -22,7 +20,7 @@ MAX_SIDE = 1 << 20
 NEGLIGIBLE = 0.1
 """Displacement in pixels, anywhere in the photograph, that is not corrected."""
 MAX_SLOPE = 2.5
-"""Of rays in an undistorted photograph: what lies further than 68 degrees off the axis is cut off."""
+"""The largest slope of rays in an undistorted photograph: what lies further than 68 degrees off the axis is cut off."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class Lens:
         sizes = all(1 <= side <= MAX_SIDE for side in self.size) and all(focal > 0 for focal in self.focal)
         if not (sizes and all(map(math.isfinite, values))):
             height, width = self.size
-            raise UserError(f"a camera of {width}x{height} pixels with focal lengths {self.focal} is none")
+            raise UserError(f"a camera of {width}x{height} pixels with focal lengths {self.focal} is invalid")
 
     def matrix(self, scale: float = 1.0) -> Float[np.ndarray, "3 3"]:
         """Intrinsics without distortion and skew, for focal lengths that are ``scale`` times as long."""
@@ -82,7 +80,7 @@ class Lens:
         return torch.stack([u, self.focal[1] * v + self.center[1]], dim=-1)
 
     def undistortion(self) -> Undistortion | None:
-        """What makes a photograph one of a pinhole camera, if it is none."""
+        """What makes a photograph one of a pinhole camera, if it is not one."""
         rays = self._rays(self._grid(33), 1.0)
         if not self.fisheye and float((self.pixels(rays) - self._grid(33)).abs().max()) <= NEGLIGIBLE:
             return None
@@ -101,16 +99,12 @@ class Lens:
 
 def _projected(camera: Camera, rays: Float[Tensor, "*N 2"]) -> Float[Tensor, "*N 2"]:
     try:
-        import pycolmap  # after Pillow, whose zlib it would replace
+        from anystyle_captures.sfm.colmap import pycolmap
     except ImportError:
         raise UserError(
             f"cameras of the model {camera.model} are read with pycolmap: pip install pycolmap, or undistort the "
             "photographs first (colmap image_undistorter)"
         ) from None
-    if threading.current_thread() is threading.main_thread():
-        # Importing pycolmap replaces signal handlers to print a native stack; restore Python's own.
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, signal.getsignal(number) or signal.SIG_DFL)
     height, width = camera.size
     lens = pycolmap.Camera(model=camera.model, width=width, height=height, params=list(camera.parameters))
     points = F.pad(rays.reshape(-1, 2).double(), (0, 1), value=1.0)
@@ -119,16 +113,16 @@ def _projected(camera: Camera, rays: Float[Tensor, "*N 2"]) -> Float[Tensor, "*N
 
 @cache
 def _pinhole_scale(lens: Lens) -> float:
-    """Of the focal lengths: the smallest whose whole picture the photograph shows.
+    """The smallest scale of the focal lengths whose whole picture the photograph shows.
 
-    Found from long focal lengths on, because far from the axis a polynomial leads back into the photograph.
+    It is sought from long focal lengths on, because far from the axis a polynomial leads back into the photograph.
     """
     grid = lens._grid(65)
     border = torch.cat([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
     largest, center = border.new_tensor([lens.size[1], lens.size[0]]), border.new_tensor(lens.center)
 
     def radii(scale: float) -> Tensor | None:
-        """Of the border as the photograph shows it; ``None`` if it does not show all."""
+        """Radii of the border as the photograph shows it; ``None`` if it does not show all."""
         rays = lens._rays(border, scale)
         seen = lens.pixels(rays)
         shown = bool(((seen >= -1e-6) & (seen <= largest + 1e-6)).all()) and float(rays.norm(dim=-1).max()) <= MAX_SLOPE

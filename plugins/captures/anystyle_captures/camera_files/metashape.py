@@ -11,7 +11,7 @@ import numpy as np
 from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle_captures.camera_files import samples
-from anystyle_captures.camera_files.conversion import by_name, camera, finished, rigid
+from anystyle_captures.camera_files.conversion import by_name, camera, files_of, finished, rigid
 from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.camera_files.xml import number, numbers, read_xml, starts_with
 
@@ -38,16 +38,15 @@ class Metashape(CameraReader):
         return {}
 
     def find(self, path: Path) -> Path | None:
-        files = sorted(path.glob("*.xml")) if path.is_dir() else [path]
-        named = (file for file in files if file.suffix.lower() == ".xml" and file.is_file())
-        return next((file for file in named if starts_with(file, "<document") and starts_with(file, "<chunk")), None)
+        files = files_of(path, ".xml")
+        return next((file for file in files if starts_with(file, "<document") and starts_with(file, "<chunk")), None)
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
         root = read_xml(path, _WHAT)
         try:
             cameras = _cameras(root)
         except (ValueError, TypeError) as error:
-            raise UserError(f"{path} is no {_WHAT} that can be read: {error}") from None
+            raise UserError(f"{path} is not a {_WHAT} that can be read: {error}") from None
         return finished(by_name(cameras, path), images)
 
 
@@ -62,10 +61,9 @@ def _cameras(root: Element) -> list[tuple[str, StoredCamera]]:
     # Components without a transform of their own lie in frames that have nothing in common.
     loose = Counter(each.get("component_id") for each in aligned if worlds.get(each.get("component_id")) is None)
     if len(loose) > 1:
-        [(kept, count)] = loose.most_common(1)
+        [(largest, _)] = loose.most_common(1)
         _log.warning("of %d components, which Metashape did not align with each other, the largest is read", len(loose))
-        aligned = [each for each in aligned if each.get("component_id") == kept]
-        assert len(aligned) == count
+        aligned = [each for each in aligned if each.get("component_id") == largest]
     lenses: dict[str | None, Lens] = {}
     sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
     # A label is the name of a file without its folder, which groups of cameras may stand for.
@@ -79,9 +77,8 @@ def _cameras(root: Element) -> list[tuple[str, StoredCamera]]:
             raise UserError(f"the sensor of {label} is not there")
         lenses[sensor] = lenses.get(sensor) or _lens(sensors[sensor])
         chunk_from_camera = np.array(numbers(each.findtext("transform"), 16, f"the transform of {label}"))
-        world_from_chunk = worlds.get(each.get("component_id"))
-        world_from_chunk = shared if world_from_chunk is None else world_from_chunk
-        pose = chunk_from_camera.reshape(4, 4)
+        own, pose = worlds.get(each.get("component_id")), chunk_from_camera.reshape(4, 4)
+        world_from_chunk = shared if own is None else own
         if world_from_chunk is not None:
             pose = world_from_chunk @ pose
             pose[:3, :3] /= np.cbrt(np.linalg.det(world_from_chunk[:3, :3]))
@@ -127,6 +124,5 @@ def _lens(sensor: Element) -> Lens:
     width, height = int(size.get("width", "0")), int(size.get("height", "0"))
     f, cx, cy, b1, b2, p1, p2 = (number(calibration, name) for name in ("f", "cx", "cy", "b1", "b2", "p1", "p2"))
     k1, k2, k3, k4 = (number(calibration, name) for name in ("k1", "k2", "k3", "k4"))
-    center = 0.5 * width + cx, 0.5 * height + cy
-    radial, tangential = (k1, k2, k3, k4), (p2, p1)
-    return Lens((height, width), (f + b1, f), center, radial, tangential, skew=b2, fisheye=kind in _FISHEYE)
+    focal, center = (f + b1, f), (0.5 * width + cx, 0.5 * height + cy)
+    return Lens((height, width), focal, center, (k1, k2, k3, k4), (p2, p1), skew=b2, fisheye=kind in _FISHEYE)

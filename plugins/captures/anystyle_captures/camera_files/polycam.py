@@ -22,25 +22,19 @@ _IMAGES = {"corrected_cameras": ("corrected_images", "images"), "cameras": ("ima
 """Folders of photographs beside those of cameras, the first one that is there."""
 
 
-class _Keyframe(msgspec.Struct):
+_POSE = [f"t_{row}{column}" for row in range(3) for column in range(4)]
+
+
+class _Lens(msgspec.Struct):
     fx: Positive
     fy: Positive
     cx: float
     cy: float
     width: Side
     height: Side
-    t_00: float
-    t_01: float
-    t_02: float
-    t_03: float
-    t_10: float
-    t_11: float
-    t_12: float
-    t_13: float
-    t_20: float
-    t_21: float
-    t_22: float
-    t_23: float
+
+
+_Keyframe = msgspec.defstruct("_Keyframe", [(name, float) for name in _POSE], bases=(_Lens,), kw_only=True)
 
 
 class Polycam(CameraReader):
@@ -79,11 +73,11 @@ class Polycam(CameraReader):
         cameras = {}
         for name in matched(files, images).values() if images else files:
             file = files[name]
-            frame: _Keyframe = read_json(file, _Keyframe, what="camera of Polycam")
-            rows = [[getattr(frame, f"t_{row}{column}") for column in range(4)] for row in range(3)]
+            frame: _Lens = read_json(file, _Keyframe, what="camera of Polycam")
+            pose = np.array([getattr(frame, name) for name in _POSE]).reshape(3, 4)
             try:
                 lens = Lens((round(frame.height), round(frame.width)), (frame.fx, frame.fy), (frame.cx, frame.cy))
-                cameras[name] = camera(rigid(np.array(rows) @ OPENCV_FROM_OPENGL), lens)
+                cameras[name] = camera(rigid(pose @ OPENCV_FROM_OPENGL), lens)
             except UserError as error:
-                raise UserError(f"{file} is no camera of Polycam ({error})") from None
+                raise UserError(f"{file} is not a camera of Polycam ({error})") from None
         return finished(cameras, images)

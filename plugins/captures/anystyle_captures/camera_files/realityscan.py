@@ -13,7 +13,7 @@ from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text
 from anystyle_captures.camera_files import samples
-from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, by_name, camera, files_of, finished, rigid
 from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.camera_files.xml import numbers, read_xml, starts_with
 
@@ -44,12 +44,9 @@ class RealityScan(CameraReader):
         return {}
 
     def find(self, path: Path) -> Path | None:
-        files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
-        named = (file for file in files if file.suffix.lower() == ".csv" and file.is_file())
-        if (table := next((file for file in named if _header(file) is not None), None)) is not None:
-            return table
-        sidecars = sorted(path.glob("*.xmp")) if path.is_dir() else []
-        return path if any(starts_with(file, _XCR) for file in sidecars) else None
+        if tables := [file for file in files_of(path, ".csv") if _header(file) is not None]:
+            return tables[0]
+        return path if path.is_dir() and any(starts_with(file, _XCR) for file in files_of(path, ".xmp")) else None
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
         read = _from_sidecars if path.is_dir() else _from_table
@@ -135,9 +132,8 @@ def _of_sidecar(texts: Mapping[str, str], image: Path) -> StoredCamera:
     pose = np.eye(4)
     pose[:3, :3] = camera_from_world.T
     pose[:3, 3] = numbers(texts["Position"], 3, "the position")
-    terms = [0.0] * 6
-    if model != "perspective":
-        terms = numbers(texts.get("DistortionCoeficients"), 6, "the distortion")
+    plain = model == "perspective"
+    terms = [0.0] * 6 if plain else numbers(texts.get("DistortionCoeficients"), 6, "the distortion")
     point = float(texts.get("PrincipalPointU", "0")), float(texts.get("PrincipalPointV", "0"))
     return camera(rigid(pose), _lens(image, float(texts.get("FocalLength35mm", "0")), point, terms))
 

@@ -20,8 +20,7 @@ _XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
   <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
     <rdf:Description xcr:Version="3" xcr:PosePrior="initial" xcr:Coordinates="absolute" xcr:DistortionModel="{model}"
        xcr:FocalLength35mm="{focal!r}" xcr:Skew="0" xcr:AspectRatio="1" xcr:PrincipalPointU="{u!r}"
-       xcr:PrincipalPointV="{v!r}" xcr:CalibrationPrior="initial" xcr:CalibrationGroup="-1" xcr:DistortionGroup="-1"
-       xcr:InTexturing="1" xcr:InMeshing="1" xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#">
+       xcr:PrincipalPointV="{v!r}" xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#">
       <xcr:Rotation>{rotation}</xcr:Rotation>
       <xcr:Position>{position}</xcr:Position>
       <xcr:DistortionCoeficients>{terms}</xcr:DistortionCoeficients>
@@ -34,26 +33,14 @@ _METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
   <chunk label="Chunk 1" enabled="true">
     <sensors next_id="1">
       <sensor id="0" label="unknown" type="{kind}">
-        <resolution width="{width}" height="{height}"/>
-        <property name="layer_index" value="0"/>
-        <calibration type="{kind}" class="adjusted">
-          <resolution width="{width}" height="{height}"/>
-{numbers}
-        </calibration>
+        <calibration type="{kind}" class="adjusted"><resolution width="{width}" height="{height}"/>{terms}</calibration>
       </sensor>
     </sensors>
-    <components next_id="1" active_id="0">
-      <component id="0" label="Component 1">
-        <transform>
-          <rotation>{rotation}</rotation>
-          <translation>{translation}</translation>
-          <scale>{scale!r}</scale>
-        </transform>
-      </component>
-    </components>
-    <cameras next_id="{count}" next_group_id="0">
-{cameras}
-    </cameras>
+    <components next_id="1" active_id="0"><component id="0" label="Component 1"><transform>
+      <rotation>{rotation}</rotation><translation>{translation}</translation><scale>{scale!r}</scale>
+    </transform></component></components>
+    <cameras next_group_id="0">
+{cameras}    </cameras>
   </chunk>
 </document>
 """
@@ -96,25 +83,16 @@ def write_metashape(
     values = {name: float(value) for name, value in values.items()}
     world = np.eye(4) if world_from_chunk is None else world_from_chunk
     scale = float(np.cbrt(np.linalg.det(world[:3, :3])))
-    lines = []
+    cameras = ""
     for number, (image, pose) in enumerate(zip(images, world_from_camera, strict=True)):
         matrix = np.linalg.inv(world) @ pose
         matrix[:3, :3] *= scale
-        camera = f'<camera id="{number}" sensor_id="0" component_id="0" label="{image.stem}">'
-        lines.append(f"      {camera}\n        <transform>{_words(matrix.ravel())}</transform>\n      </camera>")
-    path.write_text(
-        _METASHAPE.format(
-            kind="fisheye" if lens.fisheye else "frame",
-            width=width,
-            height=height,
-            numbers="\n".join(f"          <{name}>{value!r}</{name}>" for name, value in values.items() if value),
-            rotation=_words(world[:3, :3].ravel() / scale),
-            translation=_words(world[:3, 3]),
-            scale=scale,
-            count=len(images),
-            cameras="\n".join(lines),
-        )
-    )
+        cameras += f'      <camera id="{number}" sensor_id="0" component_id="0" label="{image.stem}">'
+        cameras += f"<transform>{_words(matrix.ravel())}</transform></camera>\n"
+    fields = {"kind": "fisheye" if lens.fisheye else "frame", "width": width, "height": height, "cameras": cameras}
+    fields["terms"] = "".join(f"<{name}>{value!r}</{name}>" for name, value in values.items() if value)
+    rotation, translation = _words(world[:3, :3].ravel() / scale), _words(world[:3, 3])
+    path.write_text(_METASHAPE.format(rotation=rotation, translation=translation, scale=scale, **fields))
 
 
 def _on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
@@ -175,7 +153,7 @@ def write_transforms(path: Path, images: Sequence[Path], world_from_camera: Pose
 
 
 def write_llff(path: Path, world_from_camera: Poses, lens: Lens) -> None:
-    """One row a photograph."""
+    """One row per photograph."""
     rows = []
     for pose in world_from_camera:
         right, down, ahead, position = pose[:3].T

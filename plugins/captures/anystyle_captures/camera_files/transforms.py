@@ -19,9 +19,6 @@ from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
 
 _WHAT = "transforms.json of cameras"
 _MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-_NUMBERS = (
-    "w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "k1", "k2", "k3", "k4", "p1", "p2", "camera_model"
-)  # fmt: skip
 
 
 class _Frame(msgspec.Struct):
@@ -47,11 +44,12 @@ class _Frame(msgspec.Struct):
 
     def camera(self, shared: "_Frame") -> StoredCamera:
         """The camera of a frame; values that it leaves out are the shared ones."""
-        values = {name: getattr(shared if getattr(self, name) is None else self, name) for name in _NUMBERS}
-        w, h, fx, fy, cx, cy, angle = (values[name] for name in _NUMBERS[:7])
-        if w is None or h is None:
+        own = {name: value for name, value in msgspec.structs.asdict(self).items() if value is not None}
+        values = msgspec.structs.asdict(shared) | own
+        fx, fy, cx, cy, angle = (values[name] for name in ("fl_x", "fl_y", "cx", "cy", "camera_angle_x"))
+        if values["w"] is None or values["h"] is None:
             raise UserError("there is no w and h, the size of the images")
-        width, height = int(w), int(h)
+        width, height = int(values["w"]), int(values["h"])
         if fx is None and angle is None:
             raise UserError("there is no focal length: neither fl_x nor camera_angle_x")
         fx = 0.5 * width / math.tan(0.5 * angle) if fx is None else fx
@@ -60,15 +58,15 @@ class _Frame(msgspec.Struct):
         if model == "EQUIRECTANGULAR":
             raise UserError("the images are panoramas (EQUIRECTANGULAR); cut them into views first")
         if model not in _MODELS:
-            raise UserError(f"camera_model {model[:40]} is none of {', '.join(_MODELS)}; undistort the images first")
-        k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in _NUMBERS[7:13])
+            raise UserError(f"camera_model {model[:40]} is not one of {', '.join(_MODELS)}; undistort the images first")
+        k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
         fisheye = model == "OPENCV_FISHEYE" or shared.is_fisheye
         center = width / 2 if cx is None else cx, height / 2 if cy is None else cy
         tangential = (0.0, 0.0) if fisheye else (p1, p2)
         lens = Lens((height, width), (fx, fy), center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
         rows = self.transform_matrix
         if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
-            raise UserError(f"transform_matrix of {self.file_path[:80]!r} is no 4x4 matrix")
+            raise UserError(f"transform_matrix of {self.file_path[:80]!r} is not a 4x4 matrix")
         return camera(rigid(np.array(rows, np.float64)[:3] @ OPENCV_FROM_OPENGL), lens)
 
 
@@ -102,7 +100,7 @@ class Transforms(CameraReader):
 
 
 class Llff(CameraReader):
-    """``poses_bounds.npy`` of LLFF: one row of numbers an image, in the alphabetical order of their names."""
+    """``poses_bounds.npy`` of LLFF: one row of numbers per image, in the alphabetical order of their names."""
 
     expects = "poses_bounds.npy"
     rank = 20
@@ -135,5 +133,5 @@ class Llff(CameraReader):
             try:
                 cameras[str(image)] = camera(rigid(axes), lens)
             except UserError as error:
-                raise UserError(f"{path}: the pose of {image.name} is none ({error})") from None
+                raise UserError(f"{path}: the pose of {image.name} is invalid ({error})") from None
         return cameras

@@ -8,7 +8,7 @@ from anystyle.errors import UserError
 from anystyle.io.documents import read_text
 
 MAX_BYTES = 256 << 20
-"""Of a file; Metashape's has 2 kB a photograph."""
+"""The largest file that is read; Metashape's has 2 kB per photograph."""
 
 
 def read_xml(path: Path, what: str) -> Element:
@@ -19,7 +19,7 @@ def read_xml(path: Path, what: str) -> Element:
     try:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
-        raise UserError(f"{path} is no {what} ({error})") from None
+        raise UserError(f"{path} is not a {what} ({error})") from None
 
 
 def starts_with(path: Path, word: str) -> bool:

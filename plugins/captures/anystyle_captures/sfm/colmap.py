@@ -8,6 +8,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from itertools import chain, repeat
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,6 @@ if threading.current_thread() is threading.main_thread():
     # Importing pycolmap replaces signal handlers to print a native stack; restore Python's own.
     for _number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(_number, signal.getsignal(_number) or signal.SIG_DFL)
-
 DEFAULT_FOCAL = 1.2
 """Initial focal length where nothing is known, in longer sides of the photograph."""
 CHUNK = 16
@@ -49,16 +49,13 @@ def search(
         if len(photographs) < MIN_VIEWS or not graph.pairs:
             return graph, []
         count = len(photographs)
-        mapped = iter(range(1, count + 1))
+        mapped = chain(range(1, count + 1), repeat(count))
 
-        def mapping(done: int) -> None:
-            on_progress(Progress.count("mapping", done, count + 1))
+        def on_view() -> None:
+            on_progress(Progress.count("mapping", next(mapped), count + 1))
 
-        models = [
-            _map_incrementally(folder, options, threads, lambda: mapping(next(mapped, count))),
-            _map_globally(folder, options, threads),
-        ]
-        mapping(count + 1)
+        models = [_map_incrementally(folder, options, threads, on_view), _map_globally(folder, options, threads)]
+        on_progress(Progress.count("mapping", count + 1, count + 1))
     found = [[_as_arrays(model, photographs) for model in reconstructions.values()] for reconstructions in models]
     for mapper in found:
         mapper.sort(key=lambda model: (model.registered.sum(), len(model.points)), reverse=True)

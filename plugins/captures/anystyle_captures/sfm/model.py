@@ -14,7 +14,7 @@ from PIL import ExifTags, Image
 
 Array = np.ndarray
 FULL_FRAME_DIAGONAL = hypot(36, 24)
-"""Of a 35 mm film frame, in millimetres, which equivalent focal lengths refer to."""
+"""The diagonal of a 35 mm film frame, in millimetres, which equivalent focal lengths refer to."""
 NEGLIGIBLE = 0.1
 """Distortion at the corner, in pixels, that is not corrected."""
 
@@ -146,7 +146,7 @@ class SparseModel:
         return SparseModel(self.world_from_camera[back], self.lenses[back], self.points, self.seen[:, back])
 
     def restricted(self, views: Sequence[int]) -> "SparseModel":
-        """The same model with these views alone, and the points that at least two of them see."""
+        """The same model with only these views, and the points that at least two of them see."""
         keep = np.isin(np.arange(len(self.lenses)), views)
         seen = self.seen & keep
         points = seen.sum(1) >= 2
@@ -178,8 +178,8 @@ EXHAUSTIVE = 300
 NEIGHBORS = 5
 """In a video each frame is matched with this many next ones, and with those 2, 4, 8 ... times as far."""
 PARTNERS, PREVIEW, RATIO, MIN_ALIKE = 10, 256, 0.8, 6
-"""Of more, each is matched with its most similar ones: by at least ``MIN_ALIKE`` matches that pass the ratio test
-among the ``PREVIEW`` features of largest scale."""
+"""More photographs are each matched with the most similar ones: by at least ``MIN_ALIKE`` matches that pass the ratio
+test among the ``PREVIEW`` features of largest scale."""
 
 
 @dataclass(frozen=True)
@@ -224,11 +224,10 @@ def largest_features(keypoints: Float[Array, "N 6"], descriptors: Array) -> Floa
 
 
 def pairs_to_match(previews: Sequence[Float[Array, "_ 128"]], ordered: bool) -> list[tuple[int, int]]:
-    """Pairs (first, second) with first < second that are worth matching in full.
+    """Pairs (first, second) with first < second that are worth matching in full: all of few photographs.
 
-    Few photographs are matched exhaustively. Of more, each is matched with those that share most of their largest
-    features (preemptive matching, Wu, *Towards Linear-time Incremental Structure from Motion*, 3DV 2013), and in a
-    video with its neighbours in time.
+    Others are those that share most of their largest features (preemptive matching, Wu, *Towards Linear-time
+    Incremental Structure from Motion*, 3DV 2013), and in a video neighbours in time.
     """
     count = len(previews)
     pairs = list(combinations(range(count), 2))
@@ -236,7 +235,7 @@ def pairs_to_match(previews: Sequence[Float[Array, "_ 128"]], ordered: bool) -> 
         return pairs
     chosen: set[tuple[int, int]] = set()
     if ordered:
-        steps = [*range(1, NEIGHBORS + 1)]
+        steps = list(range(1, NEIGHBORS + 1))
         while 2 * steps[-1] < count:
             steps.append(2 * steps[-1])
         chosen = {(first, first + step) for step in steps for first in range(count - step)}

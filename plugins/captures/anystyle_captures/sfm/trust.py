@@ -26,15 +26,13 @@ MIN_POINTS = 100
 MIN_FEATURES = 60
 """Median features of a photograph below which it shows too little texture."""
 MAX_ROTATION_SHARE = 0.7
-"""Fraction of matches explained by rotations alone from which the camera is said to turn without moving."""
+"""Fraction of matches explained by rotations from which a camera turned without moving."""
 
 
 def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tuple[SparseModel, Verdict]:
-    """Choose among the models of several mappers.
+    """Choose the model with most views that enough points support, then with most points.
 
-    The views of each model that enough points support are kept. The model with most such views is taken, then the one
-    with most points. Views on which the best model of another mapper disagrees are left out if others remain, and a
-    model that nothing confirms is doubtful.
+    Views on which the best model of another mapper disagrees are left out if others remain.
     """
     rotation_share = share_of_rotation(graph.pairs, graph.sizes) if graph.pairs else 0.0
     failed = Verdict("failed", (_why_failed(graph, rotation_share),), {"registered": 0.0, "turned": rotation_share})
@@ -148,11 +146,9 @@ def _listed(graph: ViewGraph, views: Sequence[int], most: int = 6) -> str:
 
 
 def supported_views(seen: Bool[Array, "P V"], least: int) -> list[int]:
-    """The largest set of views, each of which is held in place by the others.
+    """The largest set of views that grows from a pair by views of at least ``least`` points that two of the set see.
 
-    A point that only two views see fixes the direction between them, not the distance. A view is held in place by
-    points that at least two other views of the set see, for these have a position without it. The set grows from a
-    pair, each time by the view with most such points, while there are ``least`` of them.
+    A point that only two views see fixes the direction between them, not the distance.
     """
     counts = seen.astype(np.int64)
     shared = np.triu(counts.T @ counts, k=1)
@@ -183,10 +179,9 @@ class Agreement(NamedTuple):
 
 
 def agreement(first: Float64[Array, "V 4 4"], second: Float64[Array, "V 4 4"]) -> Agreement:
-    """Compare the poses that two models give to the same views, at least 2.
+    """Compare the poses that two models give to the same views, at least 2, up to half of which may be anywhere.
 
-    The similarity is fitted to all views and then repeatedly to the better half of them (at least 3), so that up to
-    half of the views may be anywhere.
+    The similarity is fitted to all views and then repeatedly to the better half of them (at least 3).
     """
     poses, target = torch.from_numpy(first), torch.from_numpy(second)
     spread = max(float((target[:, :3, 3] - target[:, :3, 3].mean(0)).square().sum(1).mean().sqrt()), 1e-12)
@@ -207,10 +202,9 @@ def agreement(first: Float64[Array, "V 4 4"], second: Float64[Array, "V 4 4"]) -
 
 
 def share_of_rotation(pairs: Sequence[VerifiedPair], sizes: Sequence[tuple[int, int]]) -> float:
-    """The fraction of matches that rotations of the camera alone explain, in the quarter of pairs where it is smallest.
+    """The fraction of matches that rotations of the camera explain, in the quarter of pairs where it is smallest.
 
-    Near 1 for a camera that turned without moving: such photographs contain no depth. A flat scene passes, since the
-    homographies of a plane are no rotations.
+    It is near 1 for a camera that turned without moving, and small for a flat scene.
     """
     sampled = [pairs[index] for index in np.unique(np.linspace(0, len(pairs) - 1, 60).round().astype(int))]
     # The focal length, in longer sides, is unknown: it decides how far a rotation moves points.

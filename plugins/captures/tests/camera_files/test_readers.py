@@ -155,10 +155,8 @@ def metashape_groups(folder, images, lens):
     """Labels are names without folders; groups of cameras are the folders."""
     metashape(folder, images, lens)
     text = (folder / "anything.xml").read_text()
-    for camera, group in (
-        (text.find("<camera id", text.find("<camera id") + 1), "cam1"),
-        (text.find("<camera id"), "cam0"),
-    ):
+    first = text.find("<camera id")
+    for camera, group in ((text.find("<camera id", first + 1), "cam1"), (first, "cam0")):
         end = text.find("</camera>", camera) + len("</camera>")
         text = f'{text[:camera]}<group id="{group}" label="{group}">{text[camera:end]}</group>{text[end:]}'
     (folder / "anything.xml").write_text(text)
@@ -209,12 +207,12 @@ DAMAGE = {
     "metashape": [
         ('<?xml version="1.0" encoding="UTF-8"?>', '<!DOCTYPE a [<!ENTITY b "c">]>', "declares a document type"),
         ('type="frame"', 'type="spherical"', "is of type spherical"),
-        ("<f>", "<fx>", "cannot be read|is no file"),
+        ("<f>", "<fx>", "cannot be read|is not a file"),
         ('sensor_id="0" component', 'sensor_id="4" component', "sensor of view_0 is not there"),
         ("<k1>", "<p3>0.1</p3><k1>", "p3 and p4"),
         ("<scale>1.0", "<scale>0.0", "has the scale 0"),
         ("<rotation>", "<rotation>x ", "could not convert"),
-        ("</document>", "", "is no file of Metashape cameras"),
+        ("</document>", "", "is not a file of Metashape cameras"),
     ],
     "sidecars": [
         ("brown4t2", "division", "distortion model is division.*align with a Brown model"),
@@ -226,7 +224,7 @@ DAMAGE = {
     "table": [(",0.0", ",x", "cannot be read"), ("view_0.png,", "view_0.png,1,", "a row of 17 values for 16 columns")],
     "transforms": [
         ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* cut them into views"),
-        ('"OPENCV"', '"FOV"', "camera_model FOV is none of"),
+        ('"OPENCV"', '"FOV"', "camera_model FOV is not one of"),
     ],
 }
 

@@ -28,10 +28,6 @@ def photographs(poses, *, radial=0.0, seed=0, prefix="view"):
     ]
 
 
-def focals(found):
-    return found.model.lenses[:, 0]
-
-
 @pytest.fixture(scope="module")
 def orbit():
     poses = arc(6, 40)
@@ -50,7 +46,7 @@ def test_cameras_are_found(orbit, solved):
     assert model.registered.all()
     difference = agreement(model.world_from_camera, poses)
     assert difference.rotation.max() < 0.3 and difference.position.max() < 0.02
-    np.testing.assert_allclose(focals(solved), FOCAL, rtol=0.02)
+    np.testing.assert_allclose(model.lenses[:, 0], FOCAL, rtol=0.02)
     np.testing.assert_allclose(model.lenses[:, 1:3], np.tile([SIZE[1] / 2, SIZE[0] / 2], (6, 1)), atol=1e-6)
     for view, pose in enumerate(model.world_from_camera):
         local = (model.points[model.seen[:, view]] - pose[:3, 3]) @ pose[:3, :3]
@@ -63,13 +59,12 @@ def test_any_order_of_photographs_gives_the_same_cameras(orbit, solved, tmp_path
     """Bit for bit, in the order given; the cache serves every order, except that of frames of a video."""
     order = [3, 5, 0, 4, 1, 2]
     exchanged = [orbit[1][view] for view in order]
-    again = solve(exchanged)
-    np.testing.assert_array_equal(again.model.world_from_camera, solved.model.world_from_camera[order])
-    np.testing.assert_array_equal(again.model.lenses, solved.model.lenses[order])
-    np.testing.assert_array_equal(again.model.points, solved.model.points)
-    np.testing.assert_array_equal(again.model.seen, solved.model.seen[:, order])
     monkeypatch.setenv("ANYSTYLE_CACHE", str(tmp_path))
-    assert [solve(given, keep=True).cached for given in (orbit[1], exchanged)] == [False, True]
+    again = solve(exchanged, keep=True)
+    expected = solved.model.reordered(np.argsort(order).tolist())
+    for name, value in vars(again.model).items():
+        np.testing.assert_array_equal(value, getattr(expected, name))
+    assert not again.cached and solve(orbit[1], keep=True).cached
     assert not solve(exchanged, keep=True, ordered=True).cached
 
 
@@ -78,9 +73,7 @@ def test_no_feature_is_taken_of_what_is_masked(orbit, tmp_path):
     mask[:, : SIZE[1] // 2] = 255
     masked = [replace(photograph, mask=mask) for photograph in orbit[1][:3]]
     graph = match(tmp_path, masked, SearchOptions(min_side=256, max_side=256))
-    whole = solve(orbit[1][:3])
     assert graph.pairs and all(pair.pixels[..., 0].max() <= 128 for pair in graph.pairs)
-    assert solve(masked).model.points.shape[0] < whole.model.points.shape[0]
 
 
 @pytest.mark.parametrize("radial", [-0.25, -0.05, 0.1])
@@ -110,7 +103,7 @@ def test_photographs_of_two_lenses():
     ]
     found = solve(shots)
     assert found.verdict.trust == "good" and found.model.registered.all()
-    np.testing.assert_allclose(focals(found), truth, rtol=0.03)
+    np.testing.assert_allclose(found.model.lenses[:, 0], truth, rtol=0.03)
 
 
 def test_exif_describes_the_lens():
@@ -159,23 +152,22 @@ def test_a_capture_that_cannot_work(capture, reason):
 
 
 def test_a_stranger_among_photographs(orbit):
-    found = solve([*orbit[1][:4], *photographs(arc(1, 0), seed=5, prefix="stranger")])
+    """It is left out; photographs that have no more pixels are not searched again, which would find wrong places."""
+    stranger = [*orbit[1][:4], *photographs(arc(1, 0), seed=5, prefix="stranger")]
+    found = find_cameras(stranger, searches=[SearchOptions(min_side=side, max_side=side) for side in (192, 256)])
+    assert found.verdict.measures["searched_pixels"] == 192
     assert found.model.registered.tolist() == [True] * 4 + [False]
     assert found.verdict.trust == "good"
     assert found.verdict.reasons == ("stranger0 shares nothing with any other photograph and was left out",)
 
 
 def test_photographs_left_out_are_searched_again_at_more_pixels(orbit, caplog):
-    """Not in photographs that have no more pixels, where more features find wrong places."""
-    small, large, enlarged = (SearchOptions(min_side=side, max_side=side) for side in (96, 192, 256))
+    searches = [SearchOptions(min_side=side, max_side=side) for side in (96, 192, 256)]
     with caplog.at_level("INFO"):
-        found = find_cameras(orbit[1], searches=(small, large, enlarged))
+        found = find_cameras(orbit[1], searches=searches)
     assert caplog.text.count("of 6 photographs have a camera at 96 pixels") == 1
     assert found.verdict.trust == "good" and found.model.registered.all()
     assert found.verdict.measures["searched_pixels"] == 192
-    stranger = [*orbit[1][:4], *photographs(arc(1, 0), seed=5, prefix="stranger")]
-    alone = find_cameras(stranger, searches=(large, enlarged))
-    assert alone.model.registered.sum() == 4 and alone.verdict.measures["searched_pixels"] == 192
 
 
 @pytest.mark.slow

@@ -18,15 +18,11 @@ def rng():
     return np.random.default_rng(0)
 
 
-def model_of(poses, points, seen):
-    """The exact model in which each view sees these of the points."""
-    lenses = np.tile([500.0, 320.0, 240.0, 0.0], (len(poses), 1))
-    return SparseModel(poses, lenses, points, seen)
-
-
 @pytest.fixture
 def right(rng):
-    return model_of(arc(VIEWS, 50), rng.uniform(-1, 1, (300, 3)), rng.random((300, VIEWS)) < 0.7)
+    """The exact model in which each view sees some of the points."""
+    lenses = np.tile([500.0, 320.0, 240.0, 0.0], (VIEWS, 1))
+    return SparseModel(arc(VIEWS, 50), lenses, rng.uniform(-1, 1, (300, 3)), rng.random((300, VIEWS)) < 0.7)
 
 
 @pytest.fixture
@@ -81,53 +77,49 @@ def test_two_halves_joined_at_one_view_are_two():
     assert supported_views(seen, 30) == [3, 4, 5, 6]
 
 
-def test_models_that_agree_are_good(graph, right, rng):
-    model, verdict = judge(graph, [[right], [moved(right, rng)]])
-    assert verdict.trust == "good" and verdict.reasons == ()
-    assert model.registered.all()
-
-
-def test_a_model_that_nothing_confirms_is_doubtful(graph, right):
-    _, verdict = judge(graph, [[right], []])
-    assert verdict.trust == "doubtful" and "only one of two methods" in verdict.reasons[0]
-
-
-def test_a_view_in_dispute_is_named_and_left_out(graph, right, rng):
-    model, verdict = judge(graph, [[displaced(right, 4)], [moved(right, rng)]])
-    assert verdict.trust == "doubtful"
-    assert "disagree on the cameras of view4 " in verdict.reasons[0]
-    assert np.flatnonzero(~model.registered).tolist() == [4]
-
-
-def test_two_different_shapes_are_doubtful(graph, right, rng):
-    other = right
+def others_displaced(model, rng):
     for view in range(VIEWS):
-        other = displaced(other, view, tuple(rng.normal(size=3)))
-    model, verdict = judge(graph, [[right], [other]])
-    assert verdict.trust == "doubtful"
-    assert model.registered.all() and "disagree" in verdict.reasons[0]
+        model = displaced(model, view, tuple(rng.normal(size=3)))
+    return model
 
 
-def test_a_view_held_by_few_is_left_out(graph, right, rng):
-    seen = right.seen.copy()
-    seen[:, 5] = False
-    seen[:10, 5] = True
-    weak = model_of(right.world_from_camera, right.points, seen)
-    _, verdict = judge(graph, [[displaced(weak, 5)], [moved(weak, rng)]])
-    assert verdict.trust == "good"
-    assert verdict.reasons[0].startswith("view5 shares too little")
+def held_by_few(model):
+    seen = model.seen.copy()
+    seen[10:, 5] = False
+    return replace(model, seen=seen)
 
 
-def test_rays_that_hardly_differ_are_doubtful(graph, right, rng):
-    far = model_of(right.world_from_camera, right.points * 0.1 + [0, 0, 400.0], right.seen.copy())
-    _, verdict = judge(graph, [[far], [moved(far, rng)]])
-    assert verdict.trust == "doubtful" and "depth is uncertain" in verdict.reasons[0]
+def far_away(model):
+    return replace(model, points=model.points * 0.1 + [0, 0, 400.0])
 
 
-def test_few_points_leave_the_lens_open(graph, right, rng):
-    few = model_of(right.world_from_camera, right.points[:80], right.seen[:80])
-    _, verdict = judge(graph, [[few], [moved(few, rng)]])
-    assert verdict.trust == "doubtful" and "points hold these cameras" in verdict.reasons[0]
+def few_points(model):
+    return replace(model, points=model.points[:80], seen=model.seen[:80])
+
+
+@pytest.mark.parametrize(
+    ("change", "confirmed", "trust", "reason", "missing"),
+    [
+        (lambda model: model, moved, "good", None, []),
+        (lambda model: model, None, "doubtful", "only one of two methods", []),
+        (held_by_few, lambda model, rng: moved(displaced(model, 5), rng), "good", "view5 shares too little", [5]),
+        (far_away, moved, "doubtful", "depth is uncertain", []),
+        (few_points, moved, "doubtful", "points hold these cameras", []),
+    ],
+)
+def test_what_speaks_against_cameras_is_told(graph, right, rng, change, confirmed, trust, reason, missing):
+    model = change(right)
+    found, verdict = judge(graph, [[model], [] if confirmed is None else [confirmed(model, rng)]])
+    assert verdict.trust == trust and np.flatnonzero(~found.registered).tolist() == missing
+    assert verdict.reasons == () if reason is None else reason in verdict.reasons[0]
+
+
+def test_views_in_dispute_are_named_and_left_out_if_most_agree(graph, right, rng):
+    found, verdict = judge(graph, [[displaced(right, 4)], [moved(right, rng)]])
+    assert verdict.trust == "doubtful" and "disagree on the cameras of view4 " in verdict.reasons[0]
+    assert np.flatnonzero(~found.registered).tolist() == [4]
+    found, verdict = judge(graph, [[right], [others_displaced(right, rng)]])
+    assert verdict.trust == "doubtful" and "disagree" in verdict.reasons[0] and found.registered.all()
 
 
 def test_turns_are_told_from_steps(rng):
