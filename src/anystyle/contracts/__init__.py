@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from anystyle.contracts.training import BatchSource, Training
     from anystyle.registry.pluggable import Pluggable
 
-_MODULES = ("command", "protocol", "cameras", "sources", "backbone", "style", "scene", "scores", "format", "training")
+_MODULES = ("command", "protocol", "scores", "sources", "style", "cameras", "backbone", "scene", "format", "training")
 
 
 def __getattr__(name: str) -> Any:
