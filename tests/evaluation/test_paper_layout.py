@@ -2,16 +2,13 @@
 
 import shutil
 from itertools import product
-from pathlib import Path
 
 import pytest
 
 from anystyle.cli.run import run
-from anystyle.commands import report
 from anystyle.data.style_folder import FolderStyles
 from anystyle.errors import UserError
 from anystyle.evaluation import published_figures, record, run_table
-from anystyle.evaluation.pairing import pair
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.evaluation.protocols.tables import Tables
 from anystyle.evaluation.runs import find
@@ -37,12 +34,10 @@ def root(tmp_path):
     for s, scene in enumerate(("Train", "Garden")):
         for frame in range(4):
             picture(folder / "content" / scene / f"{frame:05d}.png", 40 * s + 10 * frame, (32, 24))
-        for style in range(2):
-            for frame in range(3):
-                picture(
-                    folder / "methods" / "Stylos" / scene.lower() / f"style_{style:02d}" / f"{frame}.png", 200, (16, 16)
-                )
-                picture(folder / "methods" / "Styl3R" / scene / f"{style:02d}_{frame:03d}.png", 100, (8, 8))
+        for style, frame in product(range(2), range(3)):
+            nested = folder / "methods" / "Stylos" / scene.lower() / f"style_{style:02d}"
+            picture(nested / f"{frame}.png", 200, (16, 16))
+            picture(folder / "methods" / "Styl3R" / scene / f"{style:02d}_{frame:03d}.png", 100, (8, 8))
     for style in range(2):
         picture(folder / "styles" / f"{style:02d}.png", 90 + style, (20, 20))
     (folder / "styles" / "captions.jsonl").write_text(TEXTS)
@@ -101,17 +96,6 @@ def test_names_of_a_methods_images_are_read_whole(root):
     ]
 
 
-def test_rows_of_a_table_are_reported_beside_the_papers(root, tmp_path, capsys):
-    tables(root, metrics={"mean": Mean("art_fid")}, guides=[]).run(tmp_path / "out", silent)
-    folders = [str(path) for path in sorted((tmp_path / "out" / "methods").iterdir())]
-    assert report.main([*folders, "--paper", "table_2", "--out", str(tmp_path / "report")]) == 0
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
-    assert [row.split("|")[1].strip() for row in rows[-3:]] == [
-        f"{name} (computed here)" for name in ("Styl3R", "Stylos", "photographs")
-    ]
-    assert "0.7843" in rows[-2]
-
-
 def test_the_layout_is_checked_before_anything_is_computed(root, capsys):
     (root / "content" / "Train" / "00003.png").unlink()
     (root / "content" / "Train" / "00002.png").unlink()
@@ -161,26 +145,6 @@ def test_a_table_takes_the_metrics_of_its_figures(root):
         tables(root, metrics={"other": Mean("warp_rmse_short")}, table="table_5")
     with pytest.raises(ValueError, match="root is not given"):
         tables(root, root=None)
-
-
-def test_the_defaults_are_the_papers():
-    layout = PaperFolder(Path())
-    assert (layout.scene_names, layout.num_styles, layout.frames) == (("Train", "Truck", "M60", "Garden"), 50, 16)
-
-
-def test_renders_in_a_folder_for_each_style_are_paired(root):
-    (root / "content" / "Train" / "00003.png").unlink()
-    (root / "content" / "Garden" / "00003.png").unlink()
-    cells = pair(root / "content", root / "styles", root / "methods" / "Styl3R").cells
-    for path in (root / "methods" / "Styl3R").glob("*/*_*.png"):
-        style, _, frame = path.stem.rpartition("_")
-        (path.parent / style).mkdir(exist_ok=True)
-        path.rename(path.parent / style / f"{frame}.png")
-    nested = pair(root / "content", root / "styles", root / "methods" / "Styl3R").cells
-    assert [(c.scene, c.style, c.frames, c.content) for c in nested] == [
-        (c.scene, c.style, c.frames, c.content) for c in cells
-    ]
-    assert len(nested) == 4
 
 
 @pytest.mark.parametrize("name", [name for name in published_figures.tables() if name != "table_1"])

@@ -25,11 +25,11 @@ def transcript():
 
 
 @pytest.fixture(scope="module")
-def printed(tmp_path_factory):
-    """The rows of each table as the command writes them, by block and method."""
+def tables(tmp_path_factory):
+    """All tables as the command writes them."""
     out = tmp_path_factory.mktemp("tables")
     assert command.main(["--paper", "all", "--out", str(out)]) == 0
-    return {path.stem: rows_of(path) for path in out.glob("*.csv")}
+    return out
 
 
 def rows_of(path):
@@ -57,7 +57,8 @@ def place(table, cell):
     return ((method, ablation) if ablation else (block, method)), column
 
 
-def test_every_printed_cell_is_in_the_report(transcript, printed):
+def test_every_printed_cell_is_in_the_report(transcript, tables):
+    printed = {path.stem: rows_of(path) for path in tables.glob("*.csv")}
     num_cells = 0
     for table in transcript["tables"]:
         for cell in table["rows"]:
@@ -108,9 +109,8 @@ def test_ours_stand_below_the_papers_rows_and_what_does_not_add_up_is_said(tmp_p
     assert (tmp_path / "table_2.tex").is_file() and (tmp_path / "table_2.md").is_file()
 
 
-def test_latex_has_the_rules_blocks_and_marks_of_the_page(tmp_path):
-    assert command.main(["--paper", "all", "--out", str(tmp_path)]) == 0
-    table_2, table_4 = ((tmp_path / f"table_{number}.tex").read_text() for number in (2, 4))
+def test_latex_has_the_rules_blocks_and_marks_of_the_page(tables):
+    table_2, table_4 = ((tables / f"table_{number}.tex").read_text() for number in (2, 4))
     assert r"\multicolumn{2}{c}{Train} & \multicolumn{2}{c}{Truck}" in table_2
     assert r"\cmidrule(lr){2-3} \cmidrule(lr){4-5}" in table_2
     assert r"\underline{9.50}" in table_2 and r"\textbf{22.15}" in table_2

@@ -44,20 +44,14 @@ def sweep(tmp_path):
 
 def test_jobs_in_order_with_what_became_of_them(sweep):
     found = runs.find(sweep)
-    assert [(run.folder.name, run.state) for run in found] == [
-        ("0", "finished"), ("1", "finished"), ("2", "failed"), ("10", "unfinished")
-    ]  # fmt: skip
+    states = {"0": "finished", "1": "finished", "2": "failed", "10": "unfinished"}
+    assert [(run.folder.name, run.state) for run in found] == list(states.items())
     lines, better = report.lines_of(found)
-    assert [(line.title, line.state, line.value("", "art_fid")) for line in lines[:2]] == [
-        ("base", "", 20.0), ("no_text", "", 25.0)
-    ]  # fmt: skip
-    assert [(line.title, line.state) for line in lines[2:]] == [
-        ("no_style_loss", "failed"), ("all_geometry", "unfinished")
-    ]  # fmt: skip
-    assert better == {"art_fid": "lower"}
     made = report.table(lines, [("", "art_fid")], better)
     assert made.columns == ("variant", "source", "art_fid ↓")
-    assert [row[2] for row in made.rows] == ["20", "25", "failed", "unfinished"]
+    assert [row[::2] for row in made.rows] == [
+        ("base", "20"), ("no_text", "25"), ("no_style_loss", "failed"), ("all_geometry", "unfinished")
+    ]  # fmt: skip
 
 
 def test_jobs_that_left_nothing_are_missing(sweep):
@@ -94,14 +88,11 @@ def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):
     assert [(line.source, sorted(name for _, name in line.samples)) for line in lines] == [
         ("computed here", ["psnr"]), (STAND_IN, ["art_fid"])
     ]  # fmt: skip
-    more, _ = report.published_lines(published.load())
-    lines += more
+    lines += report.published_lines(published.load())[0]
     made = report.table(lines, report.columns_of(lines, ["art_fid", "psnr"], ["", "Train"]), {})
     for row in made.rows:
         kinds = {"300": STAND_IN, "20": "computed here", "27.74": "published [1]"}
         assert all(row[1] == said for value, said in kinds.items() if value in row[2:])
-    for text in (made.markdown(), made.csv(), made.latex()):
-        assert STAND_IN in text and "published [1]" in text
 
 
 def test_published_figures_are_sourced():
@@ -153,14 +144,6 @@ def test_trainings_are_reported_by_what_they_logged(tmp_path):
     job(tmp_path / "run", logged={"train/loss": 0.5, "val/psnr": None})
     (line,) = report.lines_of(runs.find(tmp_path / "run"))[0]
     assert line.title == "run" and line.value("", "train/loss") == 0.5
-
-
-def test_folders_without_runs(tmp_path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="there is no folder"):
-        runs.find(tmp_path / "absent")
-    with pytest.raises(ValueError, match="holds no runs; expected an evaluation"):
-        runs.find(tmp_path / "empty")
 
 
 def test_the_sheet_has_a_row_for_each_variant_and_a_column_for_each_style(sweep):

@@ -9,7 +9,7 @@ from scipy.special import rel_entr, softmax
 from torchmetrics.functional.image import lpips as their_lpips
 
 from anystyle.metrics.cfsd import MAX_EXPONENT, structural_distance
-from anystyle.vision import lpips, weights
+from anystyle.vision import lpips, vgg, weights
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
 from tests.support.judging_cases import filled_folder
 from tests.support.oracle import hashed, smooth_image
@@ -22,7 +22,7 @@ def test_lpips_has_torchmetrics_heads_and_combines_them_alike(backbone, monkeypa
     network = lpips.load(backbone, "published")
     first, second = smooth_image(61, [2, 3, 64, 64]), smooth_image(62, [2, 3, 64, 64])
     scaled = [their_lpips.ScalingLayer()(2 * images - 1) for images in (first, second)]
-    mean, std = (network.network.get_buffer(name) for name in ("mean", "std"))
+    mean, std = (torch.tensor(each).view(3, 1, 1) for each in (vgg.MEAN, vgg.STD))
     # The network normalises what it gets; what it is to see is theirs.
     maps = [network.network(images * std + mean, network.layers) for images in scaled]
     heads = weights.read(weights.find(f"lpips_{backbone}"))

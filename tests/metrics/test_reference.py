@@ -58,10 +58,9 @@ def test_art_fid_end_to_end():
         found, _ = judged(metric)
     assert_matches(torch.cat(metric.stylized), END_TO_END["activations"]["tar"], rtol=1e-3, atol=1e-3)
     assert_matches(torch.cat(metric.style), END_TO_END["activations"]["sty"], rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(float(found["lpips"]), END_TO_END["lpips"], rtol=1e-4)
-    np.testing.assert_allclose(float(found["fid"]), END_TO_END["fid_exact"], rtol=1e-4)
-    np.testing.assert_allclose(float(found["fid_infinity"]), END_TO_END["fid_exact"], rtol=1e-4)
-    np.testing.assert_allclose(float(found["art_fid"]), END_TO_END["artfid_exact"], rtol=1e-4)
+    keys = {"lpips": "lpips", "fid": "fid_exact", "fid_infinity": "fid_exact", "art_fid": "artfid_exact"}
+    for name, key in keys.items():
+        np.testing.assert_allclose(float(found[name]), END_TO_END[key], rtol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -29,26 +29,18 @@ def made(name, folder):
 
 def rows():
     """One comparison a style."""
-    whole = comparison(ROWS, 2)
-    whole = replace(whole, seconds=torch.tensor([1.0, 2.0, 6.0]))
-    return [
-        replace(
-            whole.map(lambda tensor, i=row: tensor[i : i + 1]),
-            scenes=whole.scenes[row : row + 1],
-            styles=whole.styles[row : row + 1],
-            style=replace(
-                whole.style.map(lambda tensor, i=row: tensor[i : i + 1]),
-                names=whole.styles[row : row + 1],
-                text=None if whole.style.text is None else whole.style.text[row : row + 1],
-            ),
-        )
-        for row in range(ROWS)
-    ]
+    whole = replace(comparison(ROWS, 2), seconds=torch.tensor([1.0, 2.0, 6.0]))
+    found = []
+    for one in (slice(row, row + 1) for row in range(ROWS)):
+        style = whole.style.map(lambda tensor, one=one: tensor[one])
+        style = replace(style, names=whole.styles[one], text=whole.style.text and whole.style.text[one])
+        row = whole.map(lambda tensor, one=one: tensor[one])
+        found.append(replace(row, scenes=whole.scenes[one], styles=whole.styles[one], style=style))
+    return found
 
 
 def figures(metric):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of few images, which is no matter here
+    with warnings.catch_warnings(action="ignore"):  # of few images, which is no matter here
         return {name: float(value) for name, value in metric.compute().items()}
 
 
@@ -59,8 +51,7 @@ def _process(rank, count, port, folder):
     found = {}
     for name in METRICS:
         metric = made(name, folder)
-        with torch.no_grad(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with torch.no_grad(), warnings.catch_warnings(action="ignore"):
             for row in mine:
                 metric.update(row)
         found[name] = figures(metric)
@@ -89,8 +80,7 @@ def by_two(tmp_path_factory):
 def alone(tmp_path_factory):
     """Every metric, with all rows taken in by this process."""
     metrics = {name: made(name, tmp_path_factory.mktemp(name)) for name in METRICS}
-    with torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with torch.no_grad(), warnings.catch_warnings(action="ignore"):
         for metric in metrics.values():
             for row in rows():
                 metric.update(row)
@@ -110,8 +100,7 @@ def test_two_processes_say_what_one_does(name, by_two, alone):
 @pytest.mark.parametrize("name", METRICS)
 def test_a_metric_draws_itself(name, alone):
     plt.switch_backend("agg")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         figure, axes = alone[name].plot()
     assert {line.get_label() for line in axes.get_lines()} >= set(alone[name].better)
     plt.close(figure)

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from safetensors.torch import save_file
 from torch import nn
 
+from anystyle.io.checkpoint import read_header
 from anystyle.vision import networks, weights
 from anystyle.vision.vgg import VGG19, Texture
 from tests.support.oracle import assert_matches, fill_named, golden, smooth_image
@@ -42,10 +43,9 @@ def test_layers_are_what_the_chain_computes(network: type[networks.FeatureNetwor
         # Asked for one at a time, in any order, with repeats: the same maps.
         again = net(images, ("relu2_2", "rgb", "relu1_1", "relu2_2"))
     by_name = dict(zip(names, together, strict=True))
-    torch.testing.assert_close(again[0], by_name["relu2_2"], rtol=0, atol=0)
-    torch.testing.assert_close(again[3], by_name["relu2_2"], rtol=0, atol=0)
-    torch.testing.assert_close(again[2], by_name["relu1_1"], rtol=0, atol=0)
     assert again[1] is images
+    for place, name in ((0, "relu2_2"), (2, "relu1_1"), (3, "relu2_2")):
+        torch.testing.assert_close(again[place], by_name[name], rtol=0, atol=0)
     for name, features in by_name.items():
         block = int(name[4])
         assert features.shape[-2:] == (35 >> (block - 1), 42 >> (block - 1)), name
@@ -83,6 +83,12 @@ def test_weights_are_looked_for_in_named_folders_then_in_the_package(
     torch.save({**state, "classifier.0.weight": torch.zeros(3, 3)}, tmp_path / "b" / "vgg19-dcbb9e9d.pth")
     loaded = networks.load("vgg19")
     torch.testing.assert_close(dict(loaded.named_parameters())["features.5.bias"], state["features.5.bias"])
+
+
+def test_the_bundled_file_says_how_it_was_made() -> None:
+    header = read_header(weights.find("texture"))
+    assert header.part == "texture" and header.provenance["steps"] > 0 and header.provenance["commit"]
+    assert header.provenance["command"].startswith("anystyle train experiment=tiny_perceptual")
 
 
 def test_old_torch_files_are_read(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""EfficientNet-Lite0 and what styles are told apart by."""
+"""EfficientNet-Lite0, statistics of features, and what styles are told apart by."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,8 @@ from anystyle.metrics.style_retrieval import StyleRetrieval
 from anystyle.testing.inputs import images
 from anystyle.types import Comparison, Style
 from anystyle.vision import networks
-from anystyle.vision.statistics import equalized_gray
+from anystyle.vision.statistics import equalized_gray, hellinger, mean_std, rgb_uv_histogram
+from tests.support.oracle import golden, hashed
 from tests.support.real_data import real
 
 
@@ -67,6 +68,22 @@ def test_equalized_gray_is_histogram_equalization():
         np.testing.assert_allclose(
             ours[index, 0], equalize_hist(levels, nbins=int(np.ptp(levels)) + 1), rtol=0, atol=0.01
         )
+
+
+def test_mean_std_match_the_reference():
+    record = golden("anystyle_golden")["calc_mean_std"]
+    mean, std = mean_std(hashed(1070, [2, 3, 4, 5], -1, 1))
+    torch.testing.assert_close(mean, torch.tensor(record["mean"]).flatten(1))
+    torch.testing.assert_close(std, torch.tensor(record["std"]).flatten(1))
+
+
+def test_histogram_has_a_finite_gradient_even_where_images_agree():
+    image = hashed(1080, [1, 3, 16, 16]).requires_grad_()
+    other = rgb_uv_histogram(image.detach())
+    hellinger(rgb_uv_histogram(image), other).sum().backward()
+    assert torch.isfinite(image.grad).all()
+    same = hellinger(other, other)
+    torch.testing.assert_close(same, torch.zeros_like(same))
 
 
 @pytest.fixture(scope="module")

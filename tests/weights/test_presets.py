@@ -22,6 +22,7 @@ from tests.support.weights_cases import STYLE_DIM, small_checkpoint, training_ch
 # Parameters of the files, which the published code's own modules have.
 PARAMETERS = {"anysplat": 1_190_736_456, "anystyle_head": 1_251_520_924, "anystyle_full": 1_869_372_828}
 MASK_TOKEN, TEXT_ADAPTER = 1024, 525_312
+PARTS = ("backbone", "branch")
 WITHIN = 1.15
 """Peak memory while loading, in the weights' size."""
 
@@ -67,34 +68,26 @@ def test_loading_holds_no_second_copy(tmp_path: Path, stored: torch.dtype, preci
     assert told["peak"] < WITHIN * told["size"], told
 
 
-def small_model(tmp_path: Path, placement: str) -> list[str]:
-    """Overrides that make a preset small, on files in a folder."""
-    torch.save(training_checkpoint(placement), tmp_path / "all.ckpt")
-    config = reference_config(small_checkpoint(placement))
+@pytest.fixture(scope="module", params=["head", "full"])
+def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, list[str]]:
+    """A placement, a file of its checkpoint, and overrides that make its preset small, on that file."""
+    file = tmp_path_factory.mktemp(request.param) / "all.ckpt"
+    torch.save(training_checkpoint(request.param), file)
+    config = reference_config(small_checkpoint(request.param))
     sizes = OmegaConf.to_container(config.backbone, enum_to_str=True)
     assert isinstance(sizes, dict)
     plain = [override(f"backbone.{key}", value) for key, value in sizes.items() if key != "_target_"]
-    return [
-        *plain,
-        "weights.style_encoder=null",
-        f"weights.backbone={tmp_path / 'all.ckpt'}",
-        f"weights.branch={tmp_path / 'all.ckpt'}",
-    ]
+    towers = {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers": 1}
+    plain += [f"style_encoder.{name}={value}" for name, value in towers.items()]
+    return request.param, file, [*plain, "weights.style_encoder=null", *(f"weights.{part}={file}" for part in PARTS)]
 
 
-SMALL_ENCODER = [
-    f"style_encoder.{name}={value}"
-    for name, value in {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers": 1}.items()
-]
-
-
-@pytest.mark.parametrize(("name", "placement"), [("anystyle_head", "head"), ("anystyle_full", "full")])
-def test_presets_load_one_file_into_all_parts(tmp_path: Path, name: str, placement: str) -> None:
-    overrides = [*small_model(tmp_path, placement), *SMALL_ENCODER]
-    stylizer, found = assemble(compose("stylize", [f"model={name}", *overrides]))
-    assert set(found) == {"backbone", "branch"} and len(found["branch"]["sha256"]) == 64
-    reference = load_reference(tmp_path / "all.ckpt")
-    for part in ("backbone", "branch"):
+def test_presets_load_one_file_into_all_parts(small: tuple[str, Path, list[str]]) -> None:
+    placement, file, overrides = small
+    stylizer, found = assemble(compose("stylize", [f"model=anystyle_{placement}", *overrides]))
+    assert set(found) == {*PARTS} and len(found["branch"]["sha256"]) == 64
+    reference = load_reference(file)
+    for part in PARTS:
         expected = getattr(reference, part).state_dict()
         own = getattr(stylizer, part).state_dict()
         assert own.keys() == expected.keys() and all(torch.equal(own[key], expected[key]) for key in own)
@@ -102,47 +95,44 @@ def test_presets_load_one_file_into_all_parts(tmp_path: Path, name: str, placeme
     assert torch.equal(adapter["mlp.0.weight"], small_checkpoint(placement)["text_adapter.mlp.0.weight"])
 
 
-def test_a_head_checkpoint_is_no_full_model(tmp_path: Path) -> None:
-    overrides = [*small_model(tmp_path, "head"), *SMALL_ENCODER]
-    with pytest.raises(ValueError, match=r"missing \(aggregator_injection.*trained with placement=head") as caught:
-        anystyle.load("anystyle_full", overrides)
-    assert "\n" not in str(caught.value)
+@pytest.mark.parametrize("small", ["head"], indirect=True)
+@pytest.mark.parametrize(
+    ("model", "more", "told"),
+    [
+        ("anystyle_full", [], r"missing \(aggregator_injection[^\n]*trained with placement=head[^\n]*$"),
+        ("anystyle_head", ["style_encoder.dim=64"], "trained with embeddings of 512 numbers, and the .*'s have 64"),
+    ],
+)
+def test_a_checkpoint_of_another_model_is_refused(
+    small: tuple[str, Path, list[str]], model: str, more: list[str], told: str
+) -> None:
+    with pytest.raises(ValueError, match=told):
+        anystyle.load(model, [*small[2], *more])
 
 
-def test_the_style_encoder_must_be_the_one_it_was_trained_with(tmp_path: Path) -> None:
-    overrides = [*small_model(tmp_path, "head"), *SMALL_ENCODER, "style_encoder.dim=64"]
-    with pytest.raises(ValueError, match="trained with embeddings of 512 numbers, and the style encoder's have 64"):
-        anystyle.load("anystyle_head", overrides)
-
-
-# Precision
-
-
-@pytest.fixture(scope="module")
-def inputs() -> tuple[Views, StyleEmbedding]:
-    vector = torch.nn.functional.normalize(torch.linspace(-1, 1, STYLE_DIM)[None], dim=-1)
-    return Views(smooth_image(5, (1, 2, 3, 56, 70))), StyleEmbedding(vector, vector)
-
-
-def restyled(stylizer: Stylizer, inputs: tuple[Views, StyleEmbedding]) -> tuple[torch.Tensor, torch.Tensor]:
+def restyled(stylizer: Stylizer) -> tuple[torch.Tensor, torch.Tensor]:
     """Depth, and raw colours of the style branch: what no voxel's border can flip."""
+    vector = torch.nn.functional.normalize(torch.linspace(-1, 1, STYLE_DIM)[None], dim=-1)
+    embedding = StyleEmbedding(vector, vector)
     with torch.no_grad():
-        scene = stylizer.encode(inputs[0])
-        gaussians = stylizer.restyle(scene, inputs[1])
+        scene = stylizer.encode(Views(smooth_image(5, (1, 2, 3, 56, 70))))
+        gaussians = stylizer.restyle(scene, embedding)
         with stylizer._precision(torch.device("cpu")):
-            color = stylizer.branch(scene, inputs[1]).color
+            color = stylizer.branch(scene, embedding).color
     assert gaussians.means.dtype == scene.geometry.depth.dtype == torch.float32
     assert torch.isfinite(gaussians.harmonics).all()
     return scene.geometry.depth, color.float()
 
 
+@pytest.fixture(scope="module")
+def exact() -> tuple[torch.Tensor, torch.Tensor]:
+    return restyled(load_reference(small_checkpoint("full")))
+
+
 @pytest.mark.parametrize("precision", ["bf16", "reference"])
-def test_half_precision_is_near_full_precision(precision: str, inputs: tuple[Views, StyleEmbedding]) -> None:
-    state = small_checkpoint("full")
-    exact = restyled(load_reference(state), inputs)
-    stylizer = load_reference(state, overrides=[f"precision={precision}"])
-    half = restyled(stylizer, inputs)
-    for one, other in zip(exact, half, strict=True):
+def test_half_precision_is_near_full_precision(precision: str, exact: tuple[torch.Tensor, torch.Tensor]) -> None:
+    stylizer = load_reference(small_checkpoint("full"), overrides=[f"precision={precision}"])
+    for one, other in zip(exact, restyled(stylizer), strict=True):
         error = (one - other).square().mean().sqrt() / one.square().mean().sqrt()
         assert 0 < error < 0.03
     types = {

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from anystyle.contracts.training import BatchSource, Training
     from anystyle.registry.pluggable import Pluggable
 
-_MODULES = ("command", "backbone", "style", "scene", "scores", "format", "cameras", "protocol", "training")
+_MODULES = ("command", "protocol", "scores", "style", "cameras", "backbone", "scene", "format", "training")
 
 
 def __getattr__(name: str) -> Any:

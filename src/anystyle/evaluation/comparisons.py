@@ -21,8 +21,7 @@ from anystyle.io.limits import require
 from anystyle.types import Cameras, Comparison, Style
 
 _CAMERAS = (
-    "file of cameras: frames (names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels and size (height, "
-    "width)"
+    "file of cameras: frames (names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels, size (height, width)"
 )
 
 
@@ -43,18 +42,16 @@ class Reader:
             "give fewer frames a scene, or smaller ones",
         )
         stylized, content = _read_stack(cell.stylized), self._content(cell.content)
-        if stylized.shape[-2:] != content.shape[-2:]:
-            raise UserError(
-                f"{cell.stylized[0]} has {_size(stylized)} pixels and its photograph {cell.content[0]} "
-                f"{_size(content)}; give both in one size"
-            )
+        if (size := _size(stylized)) != _size(content):
+            photograph = f"its photograph {cell.content[0]} {_size(content)}"
+            raise UserError(f"{cell.stylized[0]} has {size} pixels and {photograph}; give both in one size")
         seconds = seconds_file(cell.stylized[0].parent, cell.style)
         return Comparison(
             content=content,
             stylized=stylized,
             style=Style(image=self._reference(cell.reference)[None], names=(cell.style,)),
             depth=self._depth(cell.depth) if any(cell.depth) else None,
-            cameras=_read_cameras(cell, (stylized.shape[-2], stylized.shape[-1])),
+            cameras=_read_cameras(cell.cameras, cell, stylized) if cell.cameras else None,
             scenes=(cell.scene,),
             styles=(cell.style,),
             numbers=cell.numbers,
@@ -71,10 +68,8 @@ def _read_stack(paths: tuple[Path, ...]) -> Float[Tensor, "1 V 3 H W"]:
     images = [read(path) for path in paths]
     for path, image in zip(paths, images, strict=True):
         if image.shape != images[0].shape:
-            raise UserError(
-                f"{path} has {_size(image)} pixels and {paths[0]} {_size(images[0])}; "
-                "the images of one scene need one size"
-            )
+            sizes = f"{path} has {_size(image)} pixels and {paths[0]} {_size(images[0])}"
+            raise UserError(f"{sizes}; the images of one scene need one size")
     return torch.stack(images)[None]
 
 
@@ -89,35 +84,28 @@ def _read_depths(paths: tuple[Path | None, ...]) -> Float[Tensor, "1 V H W"]:
     return torch.stack([torch.zeros_like(first) if path is None else maps[path] for path in paths])[None]
 
 
-def _read_cameras(cell: StylizedImages, size: tuple[int, int]) -> Cameras | None:
-    if cell.cameras is None:
-        return None
-    arrays = read_arrays(cell.cameras, ("world_from_camera", "intrinsics", "size"), ("frames",), what=_CAMERAS)
+def _read_cameras(file: Path, cell: StylizedImages, images: Float[Tensor, "1 V 3 H W"]) -> Cameras:
+    arrays = read_arrays(file, ("world_from_camera", "intrinsics", "size"), ("frames",), what=_CAMERAS)
     names, poses, intrinsics = arrays["frames"].tolist(), arrays["world_from_camera"], arrays["intrinsics"]
     shapes = (poses.shape, intrinsics.shape, arrays["size"].shape)
     if shapes != ((len(names), 4, 4), (len(names), 3, 3), (2,)) or not (arrays["size"] >= 1).all():
-        raise UserError(f"{cell.cameras} is no {_CAMERAS}")
-    named = Names(names)
-    stems = dict(zip(cell.frames, (path.stem for path in cell.content), strict=True))
-    found = {frame: named.find(frame) or named.find(stem) for frame, stem in stems.items()}
-    if absent := [frame for frame, alike in found.items() if len(alike) != 1]:
-        raise UserError(f"{cell.cameras} does not hold the cameras of {cell.scene}: {absent[0]!r} is not in it")
-    indices = [names.index(alike[0]) for alike in found.values()]
+        raise UserError(f"{file} is not a {_CAMERAS}")
+    named, indices = Names(names), list[int]()
+    for frame, photograph in zip(cell.frames, cell.content, strict=True):
+        found = named.find(frame) or named.find(photograph.stem)
+        if len(found) != 1:
+            raise UserError(f"{file} does not hold the cameras of {cell.scene}: {frame!r} is not in it")
+        indices.append(names.index(found[0]))
     height, width = (int(side) for side in arrays["size"])
     poses, intrinsics = (torch.from_numpy(values[indices]).float()[None] for values in (poses, intrinsics))
-    return Cameras(poses, intrinsics, (height, width)).resized(size)
+    return Cameras(poses, intrinsics, (height, width)).resized((images.shape[-2], images.shape[-1]))
 
 
 def write_cameras(path: Path, frames: Sequence[str], cameras: Cameras) -> None:
     """Write the cameras of one scene as :class:`Reader` reads them from beside depth maps."""
     with path.open("wb") as file:
-        np.savez(
-            file,
-            frames=np.array(list(frames)),
-            world_from_camera=cameras.world_from_camera[0].cpu().numpy(),
-            intrinsics=cameras.intrinsics[0].cpu().numpy(),
-            size=np.array(cameras.size),
-        )
+        poses, intrinsics = (tensor[0].cpu().numpy() for tensor in (cameras.world_from_camera, cameras.intrinsics))
+        np.savez(file, frames=list(frames), world_from_camera=poses, intrinsics=intrinsics, size=cameras.size)
 
 
 class _Seconds(msgspec.Struct):

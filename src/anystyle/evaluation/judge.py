@@ -6,7 +6,8 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import chain, count, groupby
+from operator import attrgetter
 from typing import Any
 
 import torch
@@ -62,7 +63,7 @@ def judge_pairing(
         raise UserError("there is nothing to judge; give at least one stylized image with its photograph")
     reader, steps, total = Reader(), count(), len(pairing.cells)
 
-    def comparisons(cells: Sequence[StylizedImages]) -> Iterator[Comparison]:
+    def comparisons(cells: Iterable[StylizedImages]) -> Iterator[Comparison]:
         for cell in cells:
             on_progress(Progress.count(stage, next(steps), total))
             yield reader(cell)
@@ -70,22 +71,20 @@ def judge_pairing(
     notes = [*pairing.notes, *filter(None, [pairing.lacking()])]
     for note in notes:
         log.warning("%s", note)
-    scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in pairing.scenes().items()}
+    by_scene = groupby(pairing.cells, attrgetter("scene"))
+    scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in by_scene}
     on_progress(Progress.count(stage, total, total))
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
-    judged = {(cell.scene, cell.style): cell for cell in pairing.cells}
-    missing = {(gap.scene, gap.style): len(gap.frames) for gap in pairing.missing}
-    rows = [
-        replace(row, pictures=cell.pictures(), n=len(cell.frames), missing=missing.get((row.scene, row.style), 0))
-        for row in evaluation.rows
-        for cell in [judged[row.scene, row.style]]
-    ]
-    rows += [Row(*key, {}, n=0, missing=count) for key, count in missing.items() if key not in judged]
-    rows.sort(key=lambda row: [natural(row.scene), natural(row.style)])
-    gaps = ({"scene": row.scene, "style": row.style, "n": row.n, "missing": row.missing} for row in rows)
-    return replace(evaluation, rows=tuple(rows)).with_facts(
-        missing=[gap for gap in gaps if gap["missing"]],
-        warnings=[*notes, *evaluation.provenance["warnings"]],
+    rows = {(row.scene, row.style): row for row in evaluation.rows}
+    for cell in pairing.cells:
+        key = cell.scene, cell.style
+        rows[key] = replace(rows[key], pictures=cell.pictures(), n=len(cell.frames))
+    for scene, style, frames, _ in pairing.missing:
+        rows[scene, style] = replace(rows.get((scene, style)) or Row(scene, style, {}, n=0), missing=len(frames))
+    ordered = sorted(rows.values(), key=lambda row: [natural(row.scene), natural(row.style)])
+    gaps = ({"scene": row.scene, "style": row.style, "n": row.n, "missing": row.missing} for row in ordered)
+    return replace(evaluation, rows=tuple(ordered)).with_facts(
+        missing=[gap for gap in gaps if gap["missing"]], warnings=[*notes, *evaluation.provenance["warnings"]]
     )
 
 
@@ -142,14 +141,13 @@ def aggregate(scenes: Mapping[str, Mapping[str, SceneFigures]], *, n: int) -> Ev
             for style, figures in result.styles.items():
                 rows.setdefault((scene, style), {}).update(figures)
     means: dict[str, float] = {}
-    for name in dict.fromkeys(name for figures in by_scene.values() for name in figures):
+    for name in dict.fromkeys(chain.from_iterable(by_scene.values())):
         values = {scene: figures.get(name, math.nan) for scene, figures in by_scene.items()}
         means[name] = mean(list(values.values()))
         lacking = [scene for scene, value in values.items() if math.isnan(value)]
         if 0 < len(lacking) < len(scenes):
-            warned.append(
-                f"{name} is the mean over the scenes without {', '.join(lacking)}, which have too little for it"
-            )
+            without = ", ".join(lacking)
+            warned.append(f"{name} is the mean over the scenes without {without}, which have too little for it")
     return Evaluation(
         figures=means,
         n=n,

@@ -24,6 +24,7 @@ from anystyle.methods.branch import Branch
 from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress, Progress, Scene, Style, Views
+from anystyle.vision import preprocess
 
 RENDER_CHUNK = 4
 Variant = Literal["reference", "corrected"]
@@ -63,9 +64,8 @@ class ModelRenders(Protocol):
     ) -> None:
         self.stylizer, self.metrics, self.method = stylizer, metrics, method or Branch()
         self.scenes, self.styles = required(scenes, "scenes"), required(styles, "styles")
-        self.guide, self.frames, self.square = guide, frames, square
+        self.guide, self.frames, self.square, self.suffix = guide, frames, square, suffix_of(variant)
         self.variant: Variant = variant
-        self.suffix = suffix_of(variant)
         known = _indices(self.scenes, scene_names)
         # Scenes and styles: index by file name.
         self.planned_scenes = {name.replace("/", "-"): known[name] for name in list(scene_names or known)[:num_scenes]}
@@ -113,12 +113,10 @@ class ModelRenders(Protocol):
             photographs = [images / "content" / scene_name / f"{frame}{self.suffix}" for frame in frames]
             depth = [images / "depth" / scene_name / name for name in (*(f"{frame}.npy" for frame in frames), CAMERAS)]
             whole = all(path.is_file() for path in (*photographs, *depth))
-            missing = [
-                name
-                for name in self.planned_styles
-                if not (whole and seconds_file(folder, name).is_file())
-                or any(not (folder / f"{name}_{frame}{self.suffix}").is_file() for frame in frames)
-            ]
+            missing: list[str] = []
+            for name in self.planned_styles:
+                files = seconds_file(folder, name), *(folder / f"{name}_{frame}{self.suffix}" for frame in frames)
+                missing += [name] * (not whole or not all(file.is_file() for file in files))
             done += len(self.planned_styles) - len(missing)
             if not missing:
                 continue
@@ -137,12 +135,10 @@ class ModelRenders(Protocol):
         views = self.scenes.read(number, range(self._num_inputs(number)))
         if self.square:
             views = middle_square(views)
-        patch = self.stylizer.backbone.patch_size
-        if any(side % patch for side in views.size):
-            raise UserError(
-                f"the views of {self.scenes.name(number)} are {views.size[1]}x{views.size[0]} pixels; this model needs "
-                f"sides that are multiples of {patch} (an option of the scenes)"
-            )
+        patch, (height, width) = self.stylizer.backbone.patch_size, views.size
+        if height % patch or width % patch:
+            given = f"the views of {self.scenes.name(number)} are {width}x{height} pixels"
+            raise UserError(f"{given}; this model needs sides that are multiples of {patch} (an option of the scenes)")
         views = Views(images=views.images.to(self.stylizer.device), names=views.names)
         start = time.perf_counter()
         scene = self.stylizer.encode(views)
@@ -225,7 +221,4 @@ def write_picture(path: Path, image: Float[Tensor, "3 H W"], variant: Variant) -
 
 def middle_square(views: Views) -> Views:
     """The middle square of every image; without cameras and depth."""
-    height, width = views.size
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    return Views(images=views.images[..., top : top + side, left : left + side], names=views.names)
+    return Views(images=preprocess.middle_square(views.images), names=views.names)

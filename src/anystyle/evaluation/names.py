@@ -30,9 +30,8 @@ class Names:
 
 def folded(name: str) -> str:
     """A form that names share which mean the same."""
-    return re.sub(
-        r"(?<![0-9])0+(?=[0-9])", "", unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
-    )
+    name = unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
+    return re.sub(r"(?<![0-9])0+(?=[0-9])", "", name)
 
 
 def splits(stem: str, separators: str = "_") -> list[tuple[str, str]]:
@@ -56,14 +55,11 @@ def sequence(names: Sequence[str]) -> tuple[int, ...]:
         >>> sequence(["frame_010", "frame_020", "frame_040", "frame_050"]), sequence(["a", "b"])
         ((0, 1, 3, 4), (0, 1))
     """
-    places = tuple(range(len(names)))
     parts = [re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", name, re.DOTALL) for name in names]
-    found = [part for part in parts if part is not None]
-    if len(found) < len(names) or len({(part[1], part[3]) for part in found}) != 1:
-        return places
-    numbers = [int(part[2]) for part in found]
+    numbers = [int(part[2]) for part in parts if part]
     steps = [second - first for first, second in pairwise(numbers)]
     step = min(steps, default=0)
-    if step < 1 or 2 * steps.count(step) < len(steps) or any(one % step for one in steps):
-        return places
+    alike = None not in parts and len({(part[1], part[3]) for part in parts if part}) == 1
+    if not alike or step < 1 or 2 * steps.count(step) < len(steps) or any(one % step for one in steps):
+        return tuple(range(len(names)))
     return tuple((number - numbers[0]) // step for number in numbers)

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import compress, product
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -70,25 +70,15 @@ class Pairing:
     missing: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def scenes(self) -> dict[str, list[StylizedImages]]:
-        """The cells of each scene."""
-        scenes: dict[str, list[StylizedImages]] = {}
-        for cell in self.cells:
-            scenes.setdefault(cell.scene, []).append(cell)
-        return scenes
-
     def chosen(self, scenes: Collection[str], styles: Collection[str]) -> "Pairing":
         """What concerns some of the scenes and styles."""
         keys = set(product(scenes, styles))
-        return Pairing(
-            tuple(cell for cell in self.cells if (cell.scene, cell.style) in keys),
-            tuple(gap for gap in self.missing if (gap.scene, gap.style) in keys),
-            self.notes,
-        )
+        cells = tuple(cell for cell in self.cells if (cell.scene, cell.style) in keys)
+        return Pairing(cells, tuple(gap for gap in self.missing if (gap.scene, gap.style) in keys), self.notes)
 
     def lacking(self) -> str:
         """What is missing, and of how many, in one line; empty if nothing is."""
-        return "; ".join(filter(None, (self._images(), self._geometry())))
+        return "; ".join(filter(None, (self._images() if self.missing else "", *self._geometry())))
 
     def require(self) -> None:
         """Raise a UserError that names what is missing."""
@@ -96,8 +86,6 @@ class Pairing:
             raise UserError(f"{told}; add them, or missing=allow to judge what is there")
 
     def _images(self) -> str:
-        if not self.missing:
-            return ""
         count = sum(len(gap.frames) for gap in self.missing)
         expected = count + sum(len(cell.frames) for cell in self.cells)
         scenes, styles = ({getattr(cell, name) for cell in self.cells} for name in ("scene", "style"))
@@ -113,9 +101,8 @@ class Pairing:
         named = [*(f"{name} (all {whole[name]})" for name in sorted(whole, key=natural)), *parts]
         return f"{count} of {expected} stylized images are missing: {listing(named, 8)}"
 
-    def _geometry(self) -> str:
+    def _geometry(self) -> Iterator[str]:
         """What is missing of the depth and the cameras that other frames and scenes have."""
-        told: list[str] = []
         maps = {
             f"{cell.scene}/{frame}".lstrip("/")
             for cell in self.cells
@@ -123,11 +110,10 @@ class Pairing:
             if depth is None
         }
         if maps and any(cell.depth for cell in self.cells):
-            told.append(f"depth is missing of {listing(sorted(maps, key=natural), 8)}")
+            yield f"depth is missing of {listing(sorted(maps, key=natural), 8)}"
         with_cameras = {cell.scene: cell.cameras is not None for cell in self.cells}
         if any(with_cameras.values()) and (absent := [scene for scene, known in with_cameras.items() if not known]):
-            told.append(f"{CAMERAS} is missing of {listing(absent, 8)}")
-        return "; ".join(told)
+            yield f"{CAMERAS} is missing of {listing(absent, 8)}"
 
 
 def pair(
@@ -142,10 +128,10 @@ def pair(
     ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
 
     Args:
-        content: A folder.
-        style: A folder.
-        stylized: A folder.
-        depth: A folder, where depth is known.
+        content: A folder, as are the next ones.
+        style: Style images.
+        stylized: Results.
+        depth: Maps, where depth is known.
         missing: ``refuse`` raises where photographs, styles and depth imply more images than there are; ``allow`` pairs
             those that are there.
 
@@ -183,8 +169,8 @@ class _Reading(NamedTuple):
     scene: str
     style: str
     frame: str
-    photograph: Path
     stylized: Path
+    photograph: Path
     reference: Path
     depth: Path | None
     own: tuple[bool, bool]
@@ -201,10 +187,14 @@ class _Files:
         self.names = {scene: Names(stems) for scene, stems in self.scenes.items()}
         self.folders = Names(filter(None, self.scenes))
 
-    def find(self, scene: str, name: str) -> list[Path]:
-        """The files that a name means, in the scene's own folder or else in none."""
+    def find(self, scene: str, *names: str) -> list[Path]:
+        """The files that the first known name means, in the scene's own folder or else in none."""
         folders = [*self.folders.find(scene), *([""] if "" in self.scenes else [])]
-        found = ([self.scenes[folder][stem] for stem in self.names[folder].find(name)] for folder in folders)
+        found = (
+            [self.scenes[folder][stem] for stem in self.names[folder].find(name)]
+            for name in names
+            for folder in folders
+        )
         return next(filter(None, found), [])
 
     def knows(self, name: str) -> bool:
@@ -237,21 +227,11 @@ class _Matcher:
         """What an image may be, one reading for each pair of a photograph and a style image."""
         found: dict[tuple[Path, Path], _Reading] = {}
         for scene, style, frame, own in self._candidates(parts):
-            owned = self.content.find(scene, own), self.style.find(scene, own)
-            photographs = owned[0] or self.content.find(scene, frame)
-            references = owned[1] or self.style.find(scene, style)
-            maps = self.depth.find(scene, frame) or self.depth.find(scene, own)
-            for photograph, reference in product(photographs, references):
-                found[photograph, reference] = _Reading(
-                    scene=next(iter(self.content.folders.find(scene)), scene),
-                    style=style if owned[1] else reference.stem,
-                    frame=frame,
-                    photograph=photograph,
-                    stylized=path,
-                    reference=reference,
-                    depth=maps[0] if len(maps) == 1 else None,
-                    own=(bool(owned[0]), bool(owned[1])),
-                )
+            owned = bool(self.content.find(scene, own)), bool(self.style.find(scene, own))
+            maps = self.depth.find(scene, frame, own)
+            depth, known = maps[0] if len(maps) == 1 else None, next(iter(self.content.folders.find(scene)), scene)
+            for pair in product(self.content.find(scene, own, frame), self.style.find(scene, own, style)):
+                found[pair] = _Reading(known, style if owned[1] else pair[1].stem, frame, path, *pair, depth, owned)
         return list(found.values())
 
     def _candidates(self, parts: tuple[str, ...]) -> Iterator[tuple[str, str, str, str]]:
@@ -273,8 +253,8 @@ class _Matcher:
             return f"no depth {readings[0].frame}"
         best: list[str] | None = None
         for scene, style, frame, own in self._candidates(parts):
-            lacks = [f"no content {frame}"] * (not (self.content.find(scene, own) or self.content.find(scene, frame)))
-            lacks += [f"no style {style}"] * (not (self.style.find(scene, own) or self.style.find(scene, style)))
+            lacks = [f"no content {frame}"] * (not self.content.find(scene, own, frame))
+            lacks += [f"no style {style}"] * (not self.style.find(scene, own, style))
             best = lacks if best is None or len(lacks) <= len(best) else best
         return ", ".join(best or ["too many folders"])
 
@@ -344,12 +324,11 @@ class _Matcher:
     def advice(self, results: Sequence[tuple[str, ...]], stylized: Path) -> str:
         """The layout that most images seem to have, and what to do about it."""
         if "" not in self.style.scenes and not any(map(self.content.folders.find, self.style.scenes)):
-            return (
-                f"; the style images lie in folders ({listing(list(self.style.scenes), 3)}): give --style one of them"
-            )
-        seen = Counter(layout for parts in results[:200] if (layout := self._layout(parts)))
-        layout, count = seen.most_common(1)[0] if seen else ("", 0)
-        if 2 * count <= min(len(results), 200):
+            folders = listing(list(self.style.scenes), 3)
+            return f"; the style images lie in folders ({folders}): give --style one of them"
+        looked = results[:200]
+        ((layout, count),) = Counter(filter(None, map(self._layout, looked))).most_common(1) or [("", 0)]
+        if 2 * count <= len(looked):
             names = (repr(next(iter(next(iter(files.scenes.values()))))) for files in (self.content, self.style))
             return f"; expected {LAYOUTS[0]}.png, with frames named like {' and styles like '.join(names)}"
         told = f"; these look like {layout}.png"
@@ -362,22 +341,15 @@ class _Matcher:
 
     def _layout(self, parts: tuple[str, ...]) -> str | None:
         """The layout of known names that a path has; what is not known is a FOLDER."""
-        each = [[*self._kinds(part), *(["FOLDER"] if part is not parts[-1] else [])] for part in parts]
-        fits = [
-            "/".join(kinds)
-            for kinds in product(*each)
-            if (joined := "/".join(kinds)).count("STYLE") == joined.count("FRAME") == 1 and joined.count("SCENE") <= 1
-        ]
+        *folders, stem = map(self._kinds, parts)
+        layouts = map("/".join, product(*([*kinds, "FOLDER"] for kinds in folders), stem))
+        fits = (one for one in layouts if one.count("STYLE") == one.count("FRAME") == 1 >= one.count("SCENE"))
         return min(fits, key=lambda layout: layout.count("FOLDER"), default=None)
 
     def _kinds(self, name: str) -> list[str]:
         """What a name may be: a scene, a style, a frame, or several of them."""
-        known = {
-            "SCENE": self.content.folders.find(name),
-            "STYLE": self.style.knows(name),
-            "FRAME": self.content.knows(name),
-        }
-        kinds = [kind for kind, found in known.items() if found]
+        known = bool(self.content.folders.find(name)), self.style.knows(name), self.content.knows(name)
+        kinds = list(compress(("SCENE", "STYLE", "FRAME"), known))
         for left, right in splits(name, "_-. "):
             kinds += [f"{one}{name[len(left)]}{other}" for one in self._kinds(left) for other in self._kinds(right)]
         return kinds
@@ -394,17 +366,15 @@ def _files(folder: Path, what: str, suffixes: frozenset[str]) -> dict[tuple[str,
     if not folder.is_dir():
         raise UserError(f"there is no {what} folder {folder}")
     patterns = ["*", "*/*", "*/images/*"] + ["*/*/*", "*/images/*/*"] * (what == "stylized")
-    deeper = ["*/" * depth + "*" for depth in range(2, 6)]
-    found = _globbed(folder, what, patterns, suffixes)
-    if not found and (inside := _globbed(folder, what, deeper, suffixes)):
-        if what != "stylized":
-            example = next(iter(inside.values())).relative_to(folder).as_posix()
-            expected = {"content": "SCENE/FRAME.png", "style": "STYLE.png", "depth": "SCENE/FRAME.npy"}[what]
-            raise UserError(f"the {what} folder {folder} holds {example}, and {expected} is expected; give its folder")
-        return inside
-    if not found:
+    if found := _globbed(folder, what, patterns, suffixes):
+        return found
+    inside = _globbed(folder, what, ["*/" * depth + "*" for depth in range(2, 6)], suffixes)
+    if not inside:
         raise UserError(f"the {what} folder {folder} holds no {'depth (.npy)' if what == 'depth' else 'image'}")
-    return found
+    if expected := {"content": "SCENE/FRAME.png", "style": "STYLE.png", "depth": "SCENE/FRAME.npy"}.get(what):
+        example = next(iter(inside.values())).relative_to(folder).as_posix()
+        raise UserError(f"the {what} folder {folder} holds {example}, and {expected} is expected; give its folder")
+    return inside
 
 
 def _globbed(folder: Path, what: str, patterns: Iterable[str], suffixes: frozenset[str]) -> dict[tuple[str, ...], Path]:
@@ -412,9 +382,9 @@ def _globbed(folder: Path, what: str, patterns: Iterable[str], suffixes: frozens
     files: dict[tuple[str, ...], Path] = {}
     for path in sorted(paths, key=lambda path: natural(path.relative_to(folder).as_posix())):
         parts = path.relative_to(folder).parts
-        if path.suffix.lower() not in suffixes or any(part.startswith(".") for part in parts) or not path.is_file():
-            continue
-        if len(parts) > 1 and parts[1] != "images" and (folder / parts[0] / "images").is_dir():
+        hidden = any(part.startswith(".") for part in parts)
+        beside = len(parts) > 1 and parts[1] != "images" and (folder / parts[0] / "images").is_dir()
+        if path.suffix.lower() not in suffixes or hidden or beside or not path.is_file():
             continue
         key = (*(part for part in parts[:-1] if part != "images"), path.stem)
         if key in files:

@@ -16,14 +16,7 @@ from anystyle.paths import natural
 
 SCENES = ("Train", "Truck", "M60", "Garden")
 """Three of Tanks and Temples, the last of Mip-NeRF 360."""
-
-NUM_STYLES = 50
-NUM_FRAMES = 16
-
-_DESCRIPTION = (
-    "expected content/SCENE/FRAME.png, styles/STYLE.png with styles/captions.jsonl or style_descriptions.txt, "
-    "methods/METHOD/SCENE/STYLE/FRAME.png (or STYLE_FRAME.png)"
-)
+NUM_STYLES, NUM_FRAMES = 50, 16
 
 
 @dataclass(frozen=True)
@@ -85,12 +78,14 @@ class PaperFolder:
 
     def gaps(self, method: str) -> list[Gap]:
         """What a method lacks of the images that are judged."""
-        gaps: list[Gap] = []
-        for (scene, style), images in self.renders(method).items():
-            names = [path.stem for path in self.photographs(scene)]
-            if absent := tuple(name for place, name in enumerate(names) if place not in images):
-                gaps.append(Gap(scene, style, absent, len(names)))
-        return gaps
+        names = {scene: [path.stem for path in self.photographs(scene)] for scene in self.scene_names}
+        gaps = (
+            Gap(
+                scene, style, tuple(n for place, n in enumerate(names[scene]) if place not in images), len(names[scene])
+            )
+            for (scene, style), images in self.renders(method).items()
+        )
+        return [gap for gap in gaps if gap.frames]
 
     def problems(
         self, *, texts: bool = True, methods: Sequence[str] | None = None, missing: MissingImages = "refuse"
@@ -124,12 +119,15 @@ class PaperFolder:
         """Raise a UserError that says what is missing."""
         if lines := self.problems(texts=texts, methods=methods, missing=missing):
             more = f" and {len(lines) - 3} more" if len(lines) > 3 else ""
-            raise UserError(f"root={self.root}: {'; '.join(lines[:3])}{more}; {_DESCRIPTION}")
+            raise UserError(
+                f"root={self.root}: {'; '.join(lines[:3])}{more}; expected content/SCENE/FRAME.png, styles/STYLE.png "
+                "with styles/captions.jsonl or style_descriptions.txt, methods/METHOD/SCENE/STYLE/FRAME.png "
+                "(or STYLE_FRAME.png)"
+            )
 
 
 def _folders(folder: Path) -> list[Path]:
-    folders = (path for path in folder.glob("[!.]*") if path.is_dir())
-    return sorted(folders, key=lambda path: natural(path.name))
+    return sorted((path for path in folder.glob("[!.]*") if path.is_dir()), key=lambda path: natural(path.name))
 
 
 def _scene_folder(folder: Path, scene: str) -> Path | None:

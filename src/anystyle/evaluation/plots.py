@@ -13,10 +13,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
 
 COLORS = {"ours": "#2f5d8a", "stand-in": "#c0862b", "published": "#8a8a92"}
-"""Of figures computed with published weights or none, with stand-ins, and of published figures."""
-
 _INK, _RULE = "#1c1c1e", "#dcdce2"
-_NUM_EXAMPLES = 4
 
 
 def plotting() -> Any:
@@ -65,8 +62,8 @@ def examples(evaluation: Evaluation, path: Path) -> None:
         return
     better = evaluation.better[figure]
     rows.sort(key=lambda row: row.figures[figure], reverse=better == "higher")
-    number_each = min(_NUM_EXAMPLES, len(rows) // 2)
-    chosen = [("best", row) for row in rows[:number_each]] + [("worst", row) for row in rows[-number_each:]]
+    half = min(4, len(rows) // 2)
+    chosen = [("best", row) for row in rows[:half]] + [("worst", row) for row in rows[-half:]]
     kinds = ("photograph", "style", "result")
     titles = [f"{rank}: {number(row.figures[figure])} {row.scene} {row.style}".strip() for rank, row in chosen]
     cells: list[list[Cell]] = [

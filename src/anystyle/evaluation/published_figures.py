@@ -74,11 +74,8 @@ def _bundled() -> _PublishedFile:
 
 def tables() -> dict[str, PublishedTable]:
     """The tables of the AnyStyle paper, by the name that ``anystyle report --paper`` takes."""
-    stored = _bundled()
-    return {
-        name: msgspec.structs.replace(table, source=stored.sources[table.source])
-        for name, table in stored.tables.items()
-    }
+    sources, known = _bundled().sources, _bundled().tables
+    return {name: msgspec.structs.replace(table, source=sources[table.source]) for name, table in known.items()}
 
 
 def better() -> dict[str, str]:
@@ -91,12 +88,11 @@ def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
     figures = _cells(_bundled())
     for path in more:
         what = f"file of published figures, with 'sources' and 'rows' as in {BUNDLED.name}"
+        stored = read_json(path, _PublishedFile, what=what)
         try:
-            figures += _cells(read_json(path, _PublishedFile, what=what))
-        except UserError:
-            raise
-        except (KeyError, ValueError) as error:  # an unknown source, or a text that is no figure
-            raise UserError(f"{path} is no {what} ({str(error)[:80]})") from None
+            figures += _cells(stored)
+        except (KeyError, ValueError) as error:  # an unknown source, or a text that is not a number
+            raise UserError(f"{path} is not a {what} ({str(error)[:80]})") from None
     return figures
 
 

@@ -41,11 +41,8 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
     )
     facts = {"n": evaluation.n, "better": dict(evaluation.better), "stand_ins": dict(evaluation.stand_ins)}
     table = summary(evaluation)
-    texts = {
-        "metrics.csv": rows_table(evaluation.rows, evaluation.stand_ins).csv(),
-        "table.md": table.markdown(),
-        "table.tex": table.latex(),
-    }
+    rows = rows_table(evaluation.rows, evaluation.stand_ins)
+    texts = {"metrics.csv": rows.csv(), "table.md": table.markdown(), "table.tex": table.latex()}
     for name, text in texts.items():
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
@@ -66,16 +63,14 @@ def read(folder: Path) -> Evaluation | None:
     provenance = stored.pop("provenance")
     facts: _Facts = fit(provenance, _Facts, source=str(path), what=what)
     shape = dict[str, Figure | dict[str, Figure]]
-    figures: dict[str, Figure | dict[str, Figure]] = fit(stored, shape, source=str(path), what=what)
-    groups = {name: value for name, value in figures.items() if isinstance(value, dict)}
-    return Evaluation(
-        figures={name: as_number(value) for name, value in figures.items() if not isinstance(value, dict)},
-        n=facts.n,
-        better=facts.better,
-        groups={name: {key: as_number(item) for key, item in value.items()} for name, value in groups.items()},
-        stand_ins=facts.stand_ins,
-        provenance=provenance,
-    )
+    known: dict[str, Figure | dict[str, Figure]] = fit(stored, shape, source=str(path), what=what)
+    figures = {name: as_number(value) for name, value in known.items() if not isinstance(value, dict)}
+    groups = {
+        name: {key: as_number(item) for key, item in value.items()}
+        for name, value in known.items()
+        if isinstance(value, dict)
+    }
+    return Evaluation(figures, facts.n, facts.better, groups, stand_ins=facts.stand_ins, provenance=provenance)
 
 
 def summary(evaluation: Evaluation) -> Table:
@@ -89,10 +84,8 @@ def summary(evaluation: Evaluation) -> Table:
     if any(name.startswith(SCENE) for name in groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
     if evaluation.stand_ins:
-        notes.append(
-            f"{STAND_IN.capitalize()}: these figures come from networks that replace the published ones, and cannot be "
-            "compared with published figures."
-        )
+        why = "come from networks that replace the published ones, and cannot be compared with published figures"
+        notes.append(f"{STAND_IN.capitalize()}: these figures {why}.")
     notes += [f"Warning: {text}" for text in provenance.get("warnings", [])]
     caption = ", ".join(filter(None, (provenance.get("protocol", "evaluation"), provenance.get("variant"))))
     names = list(dict.fromkeys(name for figures in columns.values() for name in figures))
@@ -117,12 +110,10 @@ def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
     names = list(dict.fromkeys(name for row in rows for name in row.figures))
     from_stand_ins = [name for name in names if name in stand_ins]
     note = [f"{STAND_IN}: {' '.join(from_stand_ins)}"] if from_stand_ins else []
-    counted = any(row.n is not None for row in rows)
+    heads = ["n", "missing"] if any(row.n is not None for row in rows) else []
     cells: list[tuple[str, ...]] = []
     for row in rows:
-        counts = [str(row.n), str(row.missing)] if counted else []
-        values = [row.figures.get(name, math.nan) for name in names]
+        values = (row.figures.get(name, math.nan) for name in names)
         figures = ("" if math.isnan(value) else repr(value) for value in values)
-        cells.append((row.scene, row.style, *counts, *figures, *note))
-    heads = ["n", "missing"] if counted else []
+        cells.append((row.scene, row.style, *(str(getattr(row, head)) for head in heads), *figures, *note))
     return Table(("scene", "style", *heads, *names, *(["note"] if note else [])), tuple(cells))

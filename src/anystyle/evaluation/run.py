@@ -16,25 +16,21 @@ from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.runs import job_order
 from anystyle.io.atomic import folder_lock, write_json
-from anystyle.io.checkpoint import read_header
 from anystyle.io.documents import read_json
 from anystyle.io.record import commit, machine, versions
 from anystyle.io.run_folder import RECORD, refuse_changes
-from anystyle.paths import expanded
+from anystyle.paths import expanded, natural
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
-from anystyle.registry.untrusted import check_saved
 from anystyle.types import OnProgress, no_progress
 
 BRANCH = "branch.safetensors"
 FOLDERS = ("content", "style", "stylized", "depth")
 MODEL = ("subject", "model", "backbone", "placement", "injector", "renderer", "method", "loss", "branch", "precision")
-"""Groups of a model."""
 STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
 """Parts of a configuration on which the images of a model depend."""
 log = logging.getLogger(__name__)
@@ -89,10 +85,8 @@ def completed(
     words = [f"protocol.{word}" if word.startswith("missing=") else word for word in overrides]
     missing = [f"--{name}" for name in FOLDERS[:3] if name not in folders] if folders else []
     if missing:
-        raise UserError(
-            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; folders of images "
-            "are judged with --content DIR --style DIR --stylized DIR"
-        )
+        said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        raise UserError(f"{said}; folders of images are judged with --content DIR --style DIR --stylized DIR")
     if folders and trained is not None:
         raise UserError("--run judges a model, and --stylized judges images; give one of them")
     if folders:
@@ -122,8 +116,7 @@ def run(
     sources = make_sources(config, named)
     plugin.load().check(**options, **sources)
     parts, weights = make_parts(config, named)
-    parts |= sources
-    protocol = build(Protocol, config.protocol, **parts)
+    protocol = build(Protocol, config.protocol, **parts, **sources)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named):
         evaluation = protocol.run(out, on_progress)
@@ -150,10 +143,9 @@ def run(
 
 @contextmanager
 def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, parts: Collection[str]) -> Iterator[None]:
-    """Lock a folder, and refuse it if its images come from another configuration or other weights.
+    """Lock a folder, and refuse it if its images come from another configuration of ``parts`` or other weights.
 
-    Only the configuration of the ``parts`` that the protocol takes counts. Metrics may change: figures are computed
-    from the images each time.
+    Metrics may change: scores are computed from the images each time.
     """
     names = ["protocol", *(name for name in ("scenes", "styles") if name in parts)]
     names += STYLIZER if "stylizer" in parts else ()
@@ -164,8 +156,7 @@ def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, parts: Colle
     images["weights"] = {part: row["sha256"] for part, row in weights.items()}
     images = json.loads(json.dumps(images))
     with folder_lock(out, f"another evaluation is at work in {out}; wait for its end, or give another --out"):
-        remedy = "choose another --out, or delete that folder"
-        known = refuse_changes(out, images, "an evaluation", remedy)
+        known = refuse_changes(out, images, "an evaluation", "choose another --out, or delete that folder")
         write_json(out / RECORD, images)
         try:
             yield
@@ -228,10 +219,8 @@ def _style_encoder(config: DictConfig, metric: str) -> StyleEncoder:
     from anystyle.pipeline.load import weights_file
 
     if config.get("style_encoder") is None:
-        raise UserError(
-            f"metric={metric} needs a style encoder; add style_encoder=NAME (`anystyle plugins style_encoder` lists "
-            "them), or a model=NAME with one"
-        )
+        remedy = "add style_encoder=NAME (`anystyle plugins style_encoder` lists them), or a model=NAME with one"
+        raise UserError(f"metric={metric} needs a style encoder; {remedy}")
     encoder = build(StyleEncoder, config.style_encoder)
     if config.weights.style_encoder is not None:
         load_part(weights_file(config.weights.style_encoder), encoder, "style_encoder")
@@ -242,15 +231,17 @@ def trained_runs(folder: Path) -> list[Path]:
     """The folders that hold a style branch: a run itself, or the jobs of a multirun in order."""
     if not folder.is_dir():
         raise UserError(f"there is no run {folder}")
-    jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=job_order)
-    folders = [folder] if (folder / BRANCH).is_file() else jobs
-    if not folders:
+    jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=lambda path: natural(path.name))
+    if not (folders := [folder] if (folder / BRANCH).is_file() else jobs):
         raise UserError(f"{folder} holds no finished training of a style branch ({BRANCH}, in it or in its jobs)")
     return folders
 
 
 def configured(config: DictConfig, folder: Path) -> DictConfig:
     """A configuration with the parts, options and weights of a run."""
+    from anystyle.io.checkpoint import read_header
+    from anystyle.registry.untrusted import check_saved
+
     what = "record of a run, which names the weights it was trained on"
     bound: dict[str, Any] = read_json(folder / RECORD, dict[str, Any], what=what)
     saved = check_saved(read_header(folder / BRANCH).config, folder / BRANCH)

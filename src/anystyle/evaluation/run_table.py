@@ -7,10 +7,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Literal
 
-from anystyle.data.folder import image_files
 from anystyle.data.images import open_image
 from anystyle.errors import UserError
-from anystyle.evaluation.paper_folder import SCENES, images_by_style
 from anystyle.evaluation.published_figures import PublishedFigure, PublishedTable
 from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
@@ -24,7 +22,9 @@ ALL = ""
 """The scene of a figure over all scenes."""
 
 _FIRST = ("art_score", "art_fid")
-_SCENES = {name.casefold(): name for name in SCENES}
+
+
+Origin = Literal["ours", "stand-in", "published", "none"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Line:
     """
 
     title: str
-    origin: Literal["ours", "stand-in", "published", "none"]
+    origin: Origin
     source: str
     samples: Mapping[ColumnKey, tuple[float, ...]] = field(default_factory=dict)
     state: str = ""
@@ -71,8 +71,11 @@ def half_width(values: Sequence[float]) -> float:
 def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
     """Rows of runs, and the better direction of their figures.
 
-    Runs that differ in the seed alone are one row; figures of stand-in networks are rows of their own.
+    Runs that differ only in the seed are one row; figures of stand-in networks are rows of their own.
     """
+    from anystyle.evaluation.paper_folder import SCENES
+
+    printed = {name.casefold(): name for name in SCENES}
     common = set.intersection(*(set(run.words) for run in runs)) if len(runs) > 1 else set()
     variants: dict[str, list[Run]] = {}
     for run in runs:
@@ -87,23 +90,20 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
         states = "/".join(sorted({run.state for run in members} - {"finished"}))
         title += f" ({len(members) - len(finished)} of {len(members)} seeds {states})" if states else ""
         samples: dict[ColumnKey, tuple[float, ...]] = {}
-        stand_ins: set[str] = set()
         records = [run.record() for run in finished]
         missing = sum(record.missing() for record in records)
         title += f" ({missing} images missing)" if missing else ""
         for record in records:
             better.update(record.better)
-            stand_ins |= record.stand_ins.keys()
             for folder, figures in {ALL: record.figures, **record.scenes}.items():
-                scene = _SCENES.get(folder.casefold(), folder)
+                scene = printed.get(folder.casefold(), folder)
                 for name, value in figures.items():
                     samples[scene, name] = (*samples.get((scene, name), ()), value)
-        ours = {column: values for column, values in samples.items() if column[1] not in stand_ins}
-        theirs = {column: values for column, values in samples.items() if column[1] in stand_ins}
-        if ours:
-            lines.append(Line(title, "ours", "computed here", ours, runs=finished))
-        if theirs:
-            lines.append(Line(title, "stand-in", STAND_IN, theirs, runs=finished))
+        stand_ins = {name for record in records for name in record.stand_ins}
+        sources: dict[Origin, str] = {"ours": "computed here", "stand-in": STAND_IN}
+        for origin, source in sources.items():
+            own = {key: values for key, values in samples.items() if (key[1] in stand_ins) is (origin == "stand-in")}
+            lines += [Line(title, origin, source, own, runs=finished)] if own else []
     return lines, better
 
 
@@ -118,16 +118,13 @@ def _title(run: Run, common: set[str]) -> str:
 
 
 def published_lines(figures: Sequence[PublishedFigure]) -> tuple[list[Line], list[str]]:
-    """Rows of published figures, one a method and source, and a note for each source."""
+    """Rows of published figures, one for each method and source, and a note for each source."""
     rows: dict[tuple[str, str], list[PublishedFigure]] = {}
     for item in figures:
         rows.setdefault((item.known_as, item.source), []).append(item)
-    sources = list(dict.fromkeys(source for _, source in rows))
-    lines = [
-        _published_line(method, f"published [{sources.index(source) + 1}]", items)
-        for (method, source), items in rows.items()
-    ]
-    return lines, [f"[{number}] {source}" for number, source in enumerate(sources, 1)]
+    sources = {source: f"[{number}]" for number, source in enumerate(dict.fromkeys(item.source for item in figures), 1)}
+    lines = [_published_line(name, f"published {sources[source]}", items) for (name, source), items in rows.items()]
+    return lines, [f"{number} {source}" for source, number in sources.items()]
 
 
 def _published_line(title: str, source: str, items: Sequence[PublishedFigure]) -> Line:
@@ -194,11 +191,7 @@ def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str
 
 
 def table(
-    lines: Sequence[Line],
-    columns: Sequence[ColumnKey],
-    better: Mapping[str, str],
-    *,
-    notes: Sequence[str] = (),
+    lines: Sequence[Line], columns: Sequence[ColumnKey], better: Mapping[str, str], *, notes: Sequence[str] = ()
 ) -> Table:
     """A row for each line and a column for each figure of a scene, or of all scenes together."""
     titles = [f"{scene} {titled(name, better)}".strip() for scene, name in columns]
@@ -236,19 +229,20 @@ def sheet_cells(lines: Sequence[Line], *, num_styles: int = 6) -> tuple[list[lis
     if first is None:
         return None
     names = list(first)[:num_styles]
-    references = {path.stem: path for path in image_files(first[names[0]].parents[2] / "style")}
-    cells: list[list[Cell]] = [[_opened(references.get(name), "") for name in names]]
-    cells += [[_opened(pictures[title].get(name), line.state or "no picture") for name in names]
-              for title, line in shown.items()]  # fmt: skip
+    references = {path.stem: path for path in (first[names[0]].parents[2] / "style").iterdir()}
+    rows = [(references, ""), *((pictures[title], line.state or "no picture") for title, line in shown.items())]
+    cells: list[list[Cell]] = [
+        [open_image(files[name], longest=640) if name in files else TextCard(otherwise) for name in names]
+        for files, otherwise in rows
+    ]
     return cells, ["style", *shown], [f"style {name}" for name in names]
-
-
-def _opened(path: Path | None, otherwise: str) -> Cell:
-    return TextCard(otherwise) if path is None else open_image(path, longest=640)
 
 
 def _stylized(line: Line) -> dict[str, Path]:
     """For each style the middle frame of the first scene, of the first run that has any."""
+    from anystyle.data.folder import image_files
+    from anystyle.evaluation.paper_folder import images_by_style
+
     folders = (run.evaluation / "images" for run in line.runs if run.evaluation)
     scenes = next((found for folder in folders if (found := list(folder.glob("stylized/[!.]*")))), [])
     if not scenes:

@@ -1,6 +1,5 @@
 """Folders of runs: evaluations, trainings, the jobs of a multirun, and the state of each."""
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -10,7 +9,8 @@ from typing import Any, Literal
 from anystyle.contracts.protocol import Evaluation
 from anystyle.errors import UserError
 from anystyle.evaluation import record
-from anystyle.io.documents import kept_json, read_yaml
+from anystyle.io.documents import as_number, kept_json, read_yaml
+from anystyle.paths import natural
 from anystyle.registry.jobs import swept
 
 OVERRIDES = Path(".hydra") / "overrides.yaml"
@@ -40,10 +40,9 @@ def find(folder: Path) -> list[Run]:
         raise UserError(f"there is no folder {folder}; name a run, a multirun or an evaluation")
     runs = [_run(folder)] if _is_run(folder) else list(_inside(folder))
     if not runs:
-        raise UserError(
-            f"{folder} holds no runs; expected an evaluation (metrics.json), a training, or a multirun with its jobs"
-        )
-    return sorted(runs, key=lambda run: (run.folder.parent.as_posix(), job_order(run.folder)))
+        expected = "an evaluation (metrics.json), a training, or a multirun with its jobs"
+        raise UserError(f"{folder} holds no runs; expected {expected}")
+    return sorted(runs, key=lambda run: (run.folder.parent.as_posix(), natural(run.folder.name)))
 
 
 def _inside(folder: Path) -> Iterator[Run]:
@@ -71,11 +70,8 @@ def _run(folder: Path) -> Run:
     except UserError:
         words = ()
     stored: dict[str, Any] = kept_json(folder / record.FILE, dict[str, Any]) or {}
-    logged = {
-        name: math.nan if value is None else float(value)
-        for name, value in stored.items()
-        if "provenance" not in stored and (value is None or type(value) in (int, float))
-    }
+    numbers = {name: value for name, value in stored.items() if value is None or type(value) in (int, float)}
+    logged = {} if "provenance" in stored else {name: as_number(value) for name, value in numbers.items()}
     evaluation = _evaluation(folder)
     state: RunState = "unfinished" if (folder / "last.ckpt").is_file() else "failed"
     if evaluation or logged or any(folder.glob("*.safetensors")):
@@ -86,8 +82,3 @@ def _run(folder: Path) -> Run:
 def _evaluation(folder: Path) -> Path | None:
     inside = sorted(path.parent for path in folder.glob(f"*/{record.FILE}"))
     return next((path for path in (folder, folder / "evaluation", *inside) if record.read(path) is not None), None)
-
-
-def job_order(path: Path) -> tuple[int, str]:
-    """A key that sorts the jobs of a multirun by number, and other folders after them by name."""
-    return (int(path.name), "") if path.name.isdecimal() else (1 << 30, path.name)

@@ -104,10 +104,9 @@ class Table:
 
     def _numeric(self) -> list[bool]:
         """For each column but the first whether all of its texts are numbers or empty."""
-        rows = [row for row in self.rows if len(row) > 1]
+        columns = zip(self.columns, *(row for row in self.rows if len(row) > 1), strict=True)
         return [
-            index > 0 and all(not row[index] or _NUMERIC.match(row[index]) for row in rows)
-            for index in range(len(self.columns))
+            n > 0 and all(not text or _NUMERIC.match(text) for text in texts) for n, (_, *texts) in enumerate(columns)
         ]
 
 

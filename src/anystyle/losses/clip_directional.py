@@ -18,6 +18,12 @@ class ClipDirectional(Loss):
         size: Side that images are first resized to, bicubic as published; ``None`` leaves that to the encoder.
         reference: What ``photograph`` stands for above: the photograph, as published, or the unstyled ``render``.
         weight: In the objective.
+
+    Example:
+        >>> result = inputs.stylization()
+        >>> same = replace(result, renders=replace(result.renders, color=result.views.images))
+        >>> ClipDirectional(style_encoder=inputs.style_encoder())(same)  # nothing changed, in no direction
+        tensor(1.)
     """
 
     def __init__(

@@ -32,6 +32,13 @@ class ClipPatch(Loss):
         batch: Patches embedded at a time; affects only memory.
         reference: What ``photograph`` stands for above: the photograph, as published, or the unstyled ``render``.
         weight: In the objective.
+
+    Example:
+        >>> result = inputs.stylization(size=(64, 64))
+        >>> same = replace(result, renders=replace(result.renders, color=result.views.images))
+        >>> loss = ClipPatch(style_encoder=inputs.style_encoder(), distortion=0.0, size=None)  # crops are whole views
+        >>> print(f"{loss(same):.2f}")
+        1.00
     """
 
     def __init__(

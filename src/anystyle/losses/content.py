@@ -21,6 +21,12 @@ class Content(FeatureLoss):
         size: Side that renders and photographs are resized to; ``None`` keeps them as they are.
         reduction: ``mean`` over the features of a view, as published, or their ``sum``, as the equation is written.
         weight: In the objective; published as 0.05 for the head variant, 0.075 for the aggregator variant.
+
+    Example:
+        >>> result = inputs.stylization()
+        >>> same = replace(result, renders=replace(result.renders, color=result.views.images))
+        >>> Content(network="texture", layers=["rgb"])(same)
+        tensor(0.)
     """
 
     def __init__(

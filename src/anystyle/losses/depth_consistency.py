@@ -19,6 +19,12 @@ class DepthConsistency(Loss):
         reference: ``photograph`` is the predicted map; ``render`` the accumulated depth of the unstyled scene, as in
             StylizedGS (Zhang et al. 2024, equation 7).
         weight: In the objective.
+
+    Example:
+        >>> result = inputs.stylization()
+        >>> deeper = replace(result.renders, depth=result.scene.geometry.depth + 0.5)
+        >>> DepthConsistency()(replace(result, renders=deeper))
+        tensor(0.2500)
     """
 
     def __init__(self, *, reference: Reference = "photograph", weight: float = 0.1) -> None:

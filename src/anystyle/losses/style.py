@@ -19,6 +19,12 @@ class StyleLoss(StatisticsLoss):
 
     Args:
         reduction: ``mean`` over channels, as published, or their ``sum``, as the equation is written.
+
+    Example:
+        >>> result = inputs.stylization(number=1)
+        >>> same = replace(result, renders=replace(result.renders, color=result.views.images))
+        >>> StyleLoss(network="texture")(replace(same, style=Style(result.views.images[:, 0])))
+        tensor(0.)
     """
 
     def __init__(

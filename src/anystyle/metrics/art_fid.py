@@ -8,15 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics.base import (
-    NetworkMetric,
-    image_vectors,
-    lpips_of_pairs,
-    mean_per_row,
-    pairs,
-    stacked,
-    with_style_images,
-)
+from anystyle.metrics.base import NetworkMetric, mean_per_row, pairs, stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import embeddings, lpips
 from anystyle.vision.weights import Weights
@@ -37,6 +29,13 @@ class ArtFID(NetworkMetric):
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
             these are fewer than features.
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> images = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+        >>> metric = ArtFID(weights="stand_in")
+        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # results are photographs and styles
+        >>> print(f"{metric.compute()['art_fid']:.3f}")
+        1.000
     """
 
     better: ClassVar[Mapping[str, str]] = dict.fromkeys(("art_fid", "fid", "fid_infinity", "lpips"), "lower")
@@ -63,7 +62,7 @@ class ArtFID(NetworkMetric):
     def update(self, comparison: Comparison) -> None:
         comparison, style = with_style_images(comparison)
         distances = mean_per_row(
-            comparison, lambda batch: lpips_of_pairs(self.network, batch, size=LPIPS_SIZE, rounded=self.rounded)
+            comparison, lambda each: self.network.cached(each.preds, each.target, size=LPIPS_SIZE, rounded=self.rounded)
         )
         self.total += distances.sum()
         self.rows += distances.numel()
@@ -98,7 +97,7 @@ class ArtFID(NetworkMetric):
         return {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float(), "lpips": distance}
 
     def _vectors(self, images: Tensor) -> Tensor:
-        return image_vectors(self.inception, images, size=self.size, rounded=self.rounded)
+        return self.inception.vectors(images, size=self.size, rounded=self.rounded)
 
 
 def frechet_distance(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) -> Float[Tensor, ""]:

@@ -22,6 +22,14 @@ class ArtScore(NetworkMetric, RowMean):
         variant: ``reference`` resizes the shorter side to 224, in 8 bits; ``corrected`` resizes to a square of 224, as
             the network's authors do.
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> images = torch.ones(1, 2, 3, 32, 32)
+        >>> metric, one = ArtScore(weights="stand_in"), ArtScore(weights="stand_in")
+        >>> metric.update(Comparison(images, images))
+        >>> one.update(Comparison(images[:, :1], images[:, :1]))
+        >>> float(metric.compute()["art_score"] - one.compute()["art_score"])  # the mean over views
+        0.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}

@@ -15,12 +15,9 @@ from torchmetrics.utilities import dim_zero_cat
 from anystyle.contracts import Metric
 from anystyle.errors import UserError
 from anystyle.types import Comparison, Source
-from anystyle.vision import preprocess
-from anystyle.vision.embeddings import SourcedNetwork
-from anystyle.vision.feature_cache import CACHE, batch_size
-from anystyle.vision.lpips import Lpips
+from anystyle.types.network import checksums, stand_ins
+from anystyle.vision.feature_cache import batch_size
 from anystyle.vision.preprocess import checked, finite
-from anystyle.vision.weights import checksums, stand_ins
 
 
 class Pairs(NamedTuple):
@@ -112,37 +109,6 @@ class NetworkMetric(Metric, ABC):
         """Record the weights that figures rest on; all figures if none is named."""
         self.stand_ins = {**self.stand_ins, **stand_ins(figures or self.better, *sources)}
         self.weights = {**self.weights, **checksums(*sources)}
-
-
-def image_vectors(
-    network: SourcedNetwork, images: Float[Tensor, "M 3 H W"], *, size: int, rounded: bool
-) -> Float[Tensor, "M D"]:
-    """A network's vectors of images, computed once each; ``size`` and ``rounded`` as for ``preprocess.resized``."""
-
-    def embed(batch: Tensor) -> list[Tensor]:
-        return [network(preprocess.resized(batch, size, rounded=rounded))]
-
-    return CACHE.features(images, ("vectors", network.source.identity, size, rounded), embed)[0]
-
-
-def lpips_of_pairs(
-    network: Lpips, batch: Pairs, *, size: int | None, rounded: bool, gray: bool = False
-) -> Float[Tensor, " M"]:
-    """LPIPS of stylized images and photographs, whose shorter side is resized to ``size`` unless it is ``None``."""
-
-    def prepared(images: Tensor) -> Tensor:
-        if size is not None:
-            images = preprocess.resized(images, size, rounded=rounded)
-        elif rounded:
-            images = preprocess.eight_bit(images)
-        return preprocess.gray(images, rounded=rounded) if gray else images
-
-    def distances() -> Tensor:
-        target = CACHE.features(batch.target, ("lpips maps", *key), lambda images: network.describe(prepared(images)))
-        return network.compare(network.describe(prepared(batch.preds)), target)
-
-    key = (network.source.identity, size, rounded, gray)
-    return CACHE.scores(batch.preds, batch.target, ("lpips", *key), distances)
 
 
 def stacked(state: list[Tensor] | Tensor) -> Shaped[Tensor, " N *shape"]:

@@ -37,6 +37,13 @@ class CFSD(NetworkMetric, RowMean):
         variant: ``reference`` sums over pixels and has images of 8 bits; ``corrected`` averages over pixels and rounds
             nothing, so that sizes can be compared.
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> metric = CFSD(weights="stand_in")
+        >>> metric.update(Comparison(images, images))
+        >>> print(f"{metric.compute()['cfsd']:.3f}")
+        0.000
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}

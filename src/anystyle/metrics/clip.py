@@ -22,6 +22,13 @@ class ClipStyle(RowMean):
 
     Args:
         size: Side that images are squashed to before, bicubic; none leaves that to the encoder.
+
+    Example:
+        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> metric = ClipStyle(style_encoder=inputs.style_encoder(), size=None)
+        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # the result is the style image
+        >>> print(f"{metric.compute()['clip_style']:.3f}")
+        1.000
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_style": "higher"}
@@ -86,6 +93,13 @@ class ClipDirection(ClipStyle):
     """Cosine of ``E(stylized) - E(photograph)`` and ``E(style) - E(neutral)`` (StyleGAN-NADA, Gal et al. 2022).
 
     Averaged over views, in [-1, 1]. A style's text counts if it has one, else its image.
+
+    Example:
+        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> metric = ClipDirection(style_encoder=inputs.style_encoder(), size=None)
+        >>> metric.update(Comparison(images, images, Style(text=("waves",))))  # nothing changed
+        >>> float(metric.compute()["clip_direction"])
+        0.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_direction": "higher"}

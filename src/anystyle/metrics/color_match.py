@@ -20,6 +20,13 @@ class ColorMatch(RowMean):
 
     Args:
         variant: ``reference`` has images of 8 bits, as files; ``corrected`` rounds nothing.
+
+    Example:
+        >>> images = torch.rand(1, 1, 3, 16, 16)
+        >>> metric = ColorMatch()
+        >>> metric.update(Comparison(images, images, Style(images[:, 0].flip(-1))))  # the same colours elsewhere
+        >>> print(f"{metric.compute()['color_match']:.3f}")
+        0.000
     """
 
     better: ClassVar[Mapping[str, str]] = {"color_match": "lower"}

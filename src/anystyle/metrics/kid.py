@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics.base import NetworkMetric, image_vectors, pairs, stacked, with_style_images
+from anystyle.metrics.base import NetworkMetric, pairs, stacked, with_style_images
 from anystyle.ranges import Range
 from anystyle.types import Comparison
 from anystyle.vision import embeddings
@@ -24,6 +24,13 @@ class KID(NetworkMetric):
     Args:
         size: Pixels of the shorter side that images are resized to; 299 as in the network's training.
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> images = torch.rand(2, 1, 3, 75, 75, generator=torch.Generator().manual_seed(0))
+        >>> metric = KID(weights="stand_in", size=75)
+        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # unbiased: equal sets may be below 0
+        >>> print(f"{metric.compute()['kid']:.1f}")
+        -0.1
     """
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}
@@ -41,8 +48,10 @@ class KID(NetworkMetric):
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
         comparison, style = with_style_images(comparison)
-        self.stylized += [self._vectors(batch.preds) for batch in pairs(comparison)]
-        self.style.append(self._vectors(style))
+        self.stylized += [
+            self.inception.vectors(batch.preds, size=self.size, rounded=False) for batch in pairs(comparison)
+        ]
+        self.style.append(self.inception.vectors(style, size=self.size, rounded=False))
 
     def compute(self) -> dict[str, Tensor]:
         stylized, style = stacked(self.stylized), stacked(self.style).unique(dim=0)
@@ -54,9 +63,6 @@ class KID(NetworkMetric):
             )
             return {"kid": torch.full((), float("nan"), device=stylized.device)}
         return {"kid": discrepancy(stylized, style).float()}
-
-    def _vectors(self, images: Tensor) -> Tensor:
-        return image_vectors(self.inception, images, size=self.size, rounded=False)
 
 
 def discrepancy(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) -> Float[Tensor, ""]:

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics.base import NetworkMetric, Pairs, RowMean, lpips_of_pairs, mean_per_row
+from anystyle.metrics.base import NetworkMetric, Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights
@@ -21,6 +21,13 @@ class LPIPS(NetworkMetric, RowMean):
         variant: ``reference`` has images of 8 bits before and after they are resized, as the published script has
             them from files; ``corrected`` rounds nothing.
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> metric = LPIPS(weights="stand_in", size=None)
+        >>> metric.update(Comparison(images, images))
+        >>> metric.compute()
+        {'lpips': tensor(0.)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
@@ -44,11 +51,20 @@ class LPIPS(NetworkMetric, RowMean):
         return mean_per_row(comparison, self._distances)
 
     def _distances(self, batch: Pairs) -> Float[Tensor, " M"]:
-        return lpips_of_pairs(self.network, batch, size=self.size, rounded=self.rounded, gray=self.gray)
+        return self.network.cached(batch.preds, batch.target, size=self.size, rounded=self.rounded, gray=self.gray)
 
 
 class LPIPSGray(LPIPS):
-    """LPIPS of stylized images and photographs, both without colour, so that a palette costs nothing."""
+    """LPIPS of stylized images and photographs, both without colour, so that a palette costs nothing.
+
+    Example:
+        >>> images = torch.tensor([0.114, 0.299]).view(1, 2, 1, 1, 1) * torch.ones(1, 2, 3, 32, 32)
+        >>> primary = torch.eye(3)[[2, 0]].view(1, 2, 3, 1, 1).expand_as(images)  # blue and red, as bright as these
+        >>> metric = LPIPSGray(weights="stand_in", size=None)
+        >>> metric.update(Comparison(images, primary.contiguous()))
+        >>> print(f"{metric.compute()['lpips_gray']:.3f}")
+        0.000
+    """
 
     better: ClassVar[Mapping[str, str]] = {"lpips_gray": "lower"}
     gray = True

@@ -21,6 +21,12 @@ class SSIM(RowMean):
     """Structural similarity of reconstructions (Wang et al. 2004) with the published Gaussian window, in [-1, 1].
 
     Each channel by itself, averaged over the pixels whose window lies inside of the image.
+
+    Example:
+        >>> metric = SSIM()
+        >>> metric.update(Comparison(torch.zeros(1, 1, 3, 16, 16), torch.full((1, 1, 3, 16, 16), 0.1)))
+        >>> metric.compute()  # the luminance term, 0.01^2 / (0.1^2 + 0.01^2)
+        {'ssim': tensor(0.0099)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"ssim": "higher"}

@@ -57,7 +57,16 @@ class WarpConsistency(NetworkMetric):
             which saturate; RMSE over all pixels, so that a hole is no error. ``corrected`` has images in [0, 1], LPIPS
             in [-1, 1], searches the flow in the photographs, moves only pixels that the correspondence calls visible,
             and averages RMSE over the pixels where they land. ``warp_coverage_*`` is their share.
-        weights: Of LPIPS; ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+        weights: LPIPS'; ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> from anystyle.testing.toy.correspondence import ToyCorrespondence
+        >>> frames = torch.arange(8).view(1, 8, 1, 1, 1) * torch.full((1, 8, 3, 32, 32), 0.1)  # each 0.1 brighter
+        >>> still = Cameras(torch.eye(4).repeat(1, 8, 1, 1), torch.eye(3).repeat(1, 8, 1, 1), (32, 32))
+        >>> metric = WarpConsistency(correspondence=ToyCorrespondence(), variant="corrected", weights="stand_in")
+        >>> metric.update(Comparison(frames, frames, cameras=still, depth=torch.ones(1, 8, 32, 32)))
+        >>> print(*(f"{metric.compute()[f'warp_rmse_{reach}']:.3f}" for reach in ("short", "long")))
+        0.100 0.700
     """
 
     better: ClassVar[Mapping[str, str]] = {

@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.utils.rnn import pad_sequence
 
 from anystyle.contracts import StyleEncoder
 from anystyle.errors import UserError
@@ -67,17 +68,9 @@ class LongClip(StyleEncoder):
     def example(cls, folder: Path) -> dict[str, object]:
         merges = gzip.compress(b"#version: 0.2\nr e\nre d</w>\no f</w>\n", mtime=0)
         (folder / "vocabulary.txt.gz").write_bytes(merges)
-        return {
-            "vocabulary": str(folder / "vocabulary.txt.gz"),
-            "vocabulary_size": 512 + 3 + 2,
-            "dim": 16,
-            "text_width": 64,
-            "text_layers": 2,
-            "image_width": 64,
-            "image_layers": 2,
-            "patch_size": 16,
-            "resolution": 32,
-        }
+        towers = {"text_width": 64, "text_layers": 2, "image_width": 64, "image_layers": 2, "dim": 16}
+        vocabulary = {"vocabulary": str(folder / "vocabulary.txt.gz"), "vocabulary_size": 512 + 3 + 2}
+        return {**vocabulary, **towers, "patch_size": 16, "resolution": 32}
 
     def __init__(
         self,
@@ -151,21 +144,15 @@ class LongClip(StyleEncoder):
         tokenizer = bpe.load(file, self.vocabulary_size)
         rows = [tokenizer.encode(prompt) for prompt in prompts]
         for prompt, row in zip(prompts, rows, strict=True):
-            if len(row) > self.network.context:
-                raise UserError(
-                    f"the text {prompt[:40]!r}… has {len(row)} tokens, template included, and at most "
-                    f"{self.network.context} are read; shorten it"
-                )
-        tokens = torch.zeros(len(rows), max(map(len, rows)), dtype=torch.long)
-        for index, row in enumerate(rows):
-            tokens[index, : len(row)] = torch.tensor(row)
-        return tokens
+            if len(row) > (most := self.network.context):
+                counted = f"the text {prompt[:40]!r}… has {len(row)} tokens, template included"
+                raise UserError(f"{counted}, and at most {most} are read; shorten it")
+        return pad_sequence([torch.tensor(row) for row in rows], batch_first=True)
 
     def _embed(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         if not texts or any(not text.strip() for text in texts):
             raise UserError("a text is empty; describe a style in words")
         prompts = [template.replace("{}", text) for text in texts for template in self.templates]
         features = self.features(prompts)
-        if self.adapter is not None:
-            features = self.adapter(features)
+        features = features if self.adapter is None else self.adapter(features)
         return F.normalize(features.unflatten(0, (len(texts), -1)).mean(1), dim=-1)

@@ -1,6 +1,6 @@
 """Tokens, sites and raw predictions: values inside a network, and which weights it has."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -180,3 +180,14 @@ class Source:
     def identity(self) -> str:
         """Equal for equal weights."""
         return f"{self.network}:{self.stand_in}:{self.sha256}"
+
+
+def stand_ins(figures: Iterable[str], *sources: Source) -> dict[str, str]:
+    """For each of the figures that rest on these networks, the stand-ins among them; empty where there is none."""
+    names = ", ".join(dict.fromkeys(source.stand_in for source in sources if source.stand_in))
+    return dict.fromkeys(figures, names) if names else {}
+
+
+def checksums(*sources: Source) -> dict[str, str]:
+    """The SHA-256 of every file that was read, by its name."""
+    return {source.file: source.sha256 for source in sources if source.file}

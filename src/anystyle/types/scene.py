@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from anystyle.io import ply
 from anystyle.io.splats import NEAR, Offset, Splats
 from anystyle.types.network import Attributes, Features, Geometry, Tokens
 from anystyle.types.shapes import Given, Value
@@ -53,12 +52,16 @@ class Gaussians(Given):
 
     def save(self, path: str | Path, *, scene: int = 0) -> None:
         """Write one scene of the batch as a 3DGS PLY file (see :func:`anystyle.io.ply.write`)."""
+        from anystyle.io import ply
+
         tensors = (self.means, self.rotations, self.scales, self.opacities, self.harmonics)
         ply.write(Splats(*(tensor[scene] for tensor in tensors)), Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> "Gaussians":
         """Read a 3DGS PLY file as a batch of one scene (see :func:`anystyle.io.ply.read`)."""
+        from anystyle.io import ply
+
         return cls(*(tensor[None] for tensor in ply.read(Path(path))))
 
 

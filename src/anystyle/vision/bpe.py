@@ -12,7 +12,7 @@ from anystyle.errors import UserError
 
 SUFFIXES = ("'s", "'t", "'re", "'ve", "'m", "'ll", "'d")
 END = "</w>"
-_STRAIGHT = str.maketrans({"‘": "'", "’": "'", "‚": "'", "“": '"', "”": '"', "„": '"'})
+_STRAIGHT = str.maketrans("‘’‚“”„", "'''\"\"\"")
 
 
 class Tokenizer:
@@ -35,11 +35,8 @@ class Tokenizer:
             return self._known[word]
         symbols = [_letters()[byte] for byte in word.encode()]
         symbols[-1] += END
-        while len(symbols) > 1:
-            first = min(pairwise(symbols), key=lambda pair: self._ranks.get(pair, len(self.ids)))
-            if first not in self._ranks:
-                break
-            joined: list[str] = []
+        while known := [pair for pair in pairwise(symbols) if pair in self._ranks]:
+            first, joined = min(known, key=self._ranks.__getitem__), list[str]()
             for symbol in symbols:
                 if joined and (joined[-1], symbol) == first:
                     joined[-1] += symbol
@@ -88,14 +85,13 @@ def words(text: str) -> Iterator[str]:
 
 
 def _kind(letter: str) -> str:
-    if letter.isspace():
-        return "space"
-    return {"L": "letter", "N": "number"}.get(unicodedata.category(letter)[0], "sign")
+    kinds = {"L": "letter", "N": "number"}
+    return "space" if letter.isspace() else kinds.get(unicodedata.category(letter)[0], "sign")
 
 
 @cache
 def _letters() -> dict[int, str]:
     """A visible letter for each byte, in the vocabulary's order: printable ones themselves, then those from 256 on."""
     printable = [*range(33, 127), *range(161, 173), *range(174, 256)]
-    hidden = [byte for byte in range(256) if byte not in printable]
+    hidden = sorted({*range(256)}.difference(printable))
     return {byte: chr(byte) for byte in printable} | {byte: chr(256 + index) for index, byte in enumerate(hidden)}

@@ -10,23 +10,24 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from anystyle.io.checkpoint import load_strictly
+from anystyle.vision.preprocess import normalised
 
 MEAN = (0.48145466, 0.4578275, 0.40821073)
 STD = (0.26862954, 0.26130258, 0.27577711)
-HEAD = 64
-"""Channels of an attention head."""
-NUM_KEPT = 20
-"""Long-CLIP's stretched positions begin after these, for most texts of its training are short."""
+HEAD = 64  # channels of an attention head
+NUM_KEPT = 20  # positions before Long-CLIP's stretched ones: most texts of its training are short
 STRETCHED = "positional_embedding_res"
 """Long-CLIP's second table of positions, in use after the first :data:`NUM_KEPT`."""
 UNUSED = ("logit_scale", "input_resolution", "context_length", "vocab_size")
 """Tensors of published files that no embedding needs."""
 
+Activation = Callable[[Tensor], Tensor]
+
 
 class ResidualAttentionBlock(nn.Module):
     """A pre-norm transformer block."""
 
-    def __init__(self, width: int, activation: Callable[[Tensor], Tensor]) -> None:
+    def __init__(self, width: int, activation: Activation) -> None:
         super().__init__()
         self.ln_1, self.ln_2 = nn.LayerNorm(width), nn.LayerNorm(width)
         self.attn = nn.MultiheadAttention(width, max(1, width // HEAD), batch_first=True)
@@ -42,7 +43,7 @@ class ResidualAttentionBlock(nn.Module):
 class Transformer(nn.Module):
     """Blocks in a row."""
 
-    def __init__(self, width: int, layers: int, activation: Callable[[Tensor], Tensor]) -> None:
+    def __init__(self, width: int, layers: int, activation: Activation) -> None:
         super().__init__()
         self.resblocks = nn.ModuleList(ResidualAttentionBlock(width, activation) for _ in range(layers))
 
@@ -58,13 +59,7 @@ class Vision(nn.Module):
     """The image tower."""
 
     def __init__(
-        self,
-        width: int,
-        layers: int,
-        patch_size: int,
-        resolution: int,
-        dim: int,
-        activation: Callable[[Tensor], Tensor],
+        self, width: int, layers: int, patch_size: int, resolution: int, dim: int, activation: Activation
     ) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, width, patch_size, stride=patch_size, bias=False)
@@ -119,8 +114,7 @@ class Clip(nn.Module):
 
     def embed_pixels(self, images: Float[Tensor, "M 3 S S"]) -> Float[Tensor, "M D"]:
         """Embed sRGB images in [0, 1] of the right size, not normalised."""
-        mean, std = images.new_tensor(MEAN), images.new_tensor(STD)
-        return self.visual((images - mean[:, None, None]) / std[:, None, None])
+        return self.visual(normalised(images, MEAN, STD))
 
 
 def quick_gelu(x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:

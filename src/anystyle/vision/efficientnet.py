@@ -6,8 +6,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.errors import UserError
-from anystyle.vision.features import RGB, FeatureNetwork
+from anystyle.vision.features import RGB, FeatureNetwork, known_layers
 
 STAGES = (
     (1, 3, 1, 1, 16),
@@ -46,11 +45,8 @@ class EfficientNetLite0(FeatureNetwork):
         self.layers = (RGB, *(f"expand{index}" for index in range(1, len(blocks))))
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
-        unknown = [layer for layer in layers if layer not in self.layers]
-        if unknown or not layers:
-            raise UserError(f"layers are {list(layers)}; choose from {', '.join(self.layers)}")
-        features = {RGB: images}
-        for index, (wide, _) in zip(range(1 + max(map(self.layers.index, layers))), self._run(images), strict=False):
+        features, deepest = {RGB: images}, max(map(self.layers.index, known_layers(layers, self.layers)))
+        for index, (wide, _) in zip(range(1 + deepest), self._run(images), strict=False):
             features[f"expand{index}"] = wide
         return [features[layer] for layer in layers]
 

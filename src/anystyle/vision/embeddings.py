@@ -1,5 +1,8 @@
 """Networks that map a whole image to a vector, for FID and KID, or to a score; with stand-ins."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -7,9 +10,10 @@ from torch import Tensor, nn
 
 from anystyle.types import Source
 from anystyle.vision import art_score, inception, networks
+from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.features import Frozen, freeze
 from anystyle.vision.lpips import STAND_IN_LAYERS, STAND_IN_SIDE
-from anystyle.vision.preprocess import shrunk
+from anystyle.vision.preprocess import resized, shrunk
 from anystyle.vision.statistics import pooled_moments
 from anystyle.vision.weights import Weights, bundled, locate, published
 
@@ -23,6 +27,11 @@ class SourcedNetwork(Frozen):
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M *D"]:
         return self.network(shrunk(images, self.longest))
+
+    def vectors(self, images: Float[Tensor, "M 3 H W"], *, size: int, rounded: bool) -> Float[Tensor, " M *D"]:
+        """The outputs for images, computed once each; ``size`` and ``rounded`` as for ``preprocess.resized``."""
+        key = (self.source.identity, size, rounded)
+        return CACHE.features(images, key, lambda batch: [self(resized(batch, size, rounded=rounded))])[0]
 
 
 class TextureMoments(Frozen):
@@ -39,32 +48,24 @@ class TextureMoments(Frozen):
 class TextureScore(TextureMoments):
     """The product of :class:`TextureMoments` with a fixed random direction: a number that does not measure art."""
 
-    direction: Tensor
-
-    def __init__(self) -> None:
-        super().__init__()
-        drawn = torch.randn(640, generator=torch.Generator().manual_seed(0))
-        self.register_buffer("direction", F.normalize(drawn, dim=0), persistent=False)
-
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
-        return super().forward(images) @ self.direction
+        drawn = torch.randn(640, generator=torch.Generator().manual_seed(0))
+        return super().forward(images) @ F.normalize(drawn, dim=0).to(images)
 
 
 def load_art_inception(choice: Weights = "auto") -> SourcedNetwork:
     """The network of ArtFID, or its stand-in."""
-    file = locate("art_inception", choice)
-    if file is None:
-        return _stand_in(TextureMoments(), bundled("art_inception", "texture_moments"))
-    return SourcedNetwork(inception.load(file), published("art_inception", file))
+    return _load("art_inception", choice, inception.load, TextureMoments, "texture_moments")
 
 
 def load_art_score(choice: Weights = "auto") -> SourcedNetwork:
     """The network of ArtScore, or its stand-in."""
-    file = locate("art_score", choice)
-    if file is None:
-        return _stand_in(TextureScore(), bundled("art_score", "texture_score"))
-    return SourcedNetwork(art_score.load(file), published("art_score", file))
+    return _load("art_score", choice, art_score.load, TextureScore, "texture_score")
 
 
-def _stand_in(network: TextureMoments, source: Source) -> SourcedNetwork:
-    return freeze(SourcedNetwork(network.train(False), source, STAND_IN_SIDE))
+def _load(
+    name: str, choice: Weights, load: Callable[[Path], Frozen], other: type[TextureMoments], stand_in: str
+) -> SourcedNetwork:
+    if (file := locate(name, choice)) is not None:
+        return SourcedNetwork(load(file), published(name, file))
+    return freeze(SourcedNetwork(other().train(False), bundled(name, stand_in), STAND_IN_SIDE))

@@ -19,8 +19,6 @@ Key = tuple[object, ...]
 Compute = Callable[[Tensor], Sequence[Tensor]]
 """From images ``M 3 H W`` to any number of tensors whose first axis is ``M``."""
 
-LIMIT = 1 << 30
-"""Bytes that are kept."""
 PIXELS = 1 << 20
 """Pixels that a network processes at once."""
 CPU_PIXELS = 1 << 18
@@ -30,10 +28,8 @@ CPU_PIXELS = 1 << 18
 class FeatureCache:
     """Results of frozen networks by image, up to ``limit`` bytes; the least recently used go first."""
 
-    def __init__(self, limit: int = LIMIT) -> None:
-        self._entries: LRUCache[Key, tuple[Tensor, ...]] = LRUCache(
-            limit, lambda tensors: sum(t.nbytes for t in tensors)
-        )
+    def __init__(self, limit: int = 1 << 30) -> None:
+        self._entries: LRUCache[Key, tuple[Tensor, ...]] = LRUCache(limit, lambda each: sum(t.nbytes for t in each))
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -54,21 +50,6 @@ class FeatureCache:
         for entry in dict.fromkeys(keys):
             self._entries[entry] = results[entry]
         return [torch.stack(column) for column in zip(*(results[entry] for entry in keys), strict=True)]
-
-    def scores(
-        self,
-        preds: Float[Tensor, "M C H W"],
-        target: Float[Tensor, "M C H W"],
-        key: Key,
-        compute: Callable[[], Float[Tensor, " M"]],
-    ) -> Float[Tensor, " M"]:
-        """One number for each pair; ``compute`` is called for all pairs unless all are known under ``key``."""
-        pairs = zip(digests(preds), digests(target), strict=True)
-        keys = [(*key, str(preds.device), preds.dtype, *pair) for pair in pairs]
-        if not all(entry in self._entries for entry in keys):
-            for entry, value in zip(keys, compute().detach(), strict=True):
-                self._entries[entry] = (value.clone(),)
-        return torch.stack([self._entries[entry][0] for entry in keys])
 
     def clear(self) -> None:
         """Forget everything."""

@@ -43,6 +43,13 @@ class FeatureNetwork(Frozen, ABC):
         """
 
 
+def known_layers(layers: Sequence[str], known: Sequence[str]) -> Sequence[str]:
+    """The layers; a UserError where there is none, or one that is not known."""
+    if not layers or not {*layers} <= {*known}:
+        raise UserError(f"layers are {list(layers)}; choose from {', '.join(known)}")
+    return layers
+
+
 def walk(
     stages: nn.Sequential,
     names: Mapping[str, int],
@@ -54,10 +61,7 @@ def walk(
 
     The layer ``rgb`` is ``images``; every other is the output of the module whose index ``names`` gives.
     """
-    unknown = [layer for layer in layers if layer != RGB and layer not in names]
-    if unknown or not layers:
-        raise UserError(f"layers are {list(layers)}; choose from {', '.join([RGB, *names])}")
-    requested = {names[layer] for layer in layers if layer != RGB}
+    requested = {names[layer] for layer in known_layers(layers, (RGB, *names)) if layer != RGB}
     outputs, x = {}, normalised
     for index in range(max(requested, default=-1) + 1):
         # Below two pixels neither a reflecting border nor a pooling is defined.

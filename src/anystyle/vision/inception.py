@@ -1,6 +1,6 @@
 """Inception-v3 as ArtFID trained it on paintings (Wright and Ommer, GCPR 2022)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
-from anystyle.vision import weights
+from anystyle.vision import networks, weights
 from anystyle.vision.features import Frozen, load_frozen
 
 Kernel = int | tuple[int, int]
@@ -26,6 +26,10 @@ def _factorised(width: int) -> list[UnitChain]:
     return [(("branch1x1", 192, 1),), once, [("branch7x7dbl_1", width, 1), *twice]]
 
 
+def _ends(name: str) -> UnitChain:
+    return ((f"{name}a", 384, (1, 3)), (f"{name}b", 384, (3, 1)))
+
+
 A: list[UnitChain] = [(("branch1x1", 64, 1),), (("branch5x5_1", 48, 1), ("branch5x5_2", 64, 5)), DOUBLE]
 B: list[UnitChain] = [(("branch3x3", 384, 3),), DOUBLE]
 D: list[UnitChain] = [
@@ -34,13 +38,8 @@ D: list[UnitChain] = [
 ]
 E: list[UnitChain] = [
     (("branch1x1", 320, 1),),
-    (("branch3x3_1", 384, 1), ("branch3x3_2a", 384, (1, 3)), ("branch3x3_2b", 384, (3, 1))),
-    (
-        ("branch3x3dbl_1", 448, 1),
-        ("branch3x3dbl_2", 384, 3),
-        ("branch3x3dbl_3a", 384, (1, 3)),
-        ("branch3x3dbl_3b", 384, (3, 1)),
-    ),
+    (("branch3x3_1", 384, 1), *_ends("branch3x3_2")),
+    (("branch3x3dbl_1", 448, 1), ("branch3x3dbl_2", 384, 3), *_ends("branch3x3dbl_3")),
 ]
 BLOCKS: list[tuple[str, int, list[UnitChain], int | None]] = [
     *(("5b", 192, A, 32), ("5c", 256, A, 64), ("5d", 288, A, 64), ("6a", 288, B, None)),
@@ -78,13 +77,8 @@ class ArtInception(Frozen):
 
 def load(path: str | Path | None = None) -> ArtInception:
     """The network with the published weights."""
-    file = weights.find("art_inception", path)
-    return load_frozen(ArtInception(), without_classifiers(weights.read(file)), file)
-
-
-def without_classifiers(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The part of the published state dict that computes features."""
-    return {key: tensor for key, tensor in state.items() if not key.startswith(("AuxLogits", "fc"))}
+    file, network = weights.find("art_inception", path), ArtInception()
+    return load_frozen(network, networks.part_of(network, weights.read(file)), file)
 
 
 class ConvUnit(nn.Module):

@@ -9,18 +9,16 @@ from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.types import Source
-from anystyle.vision import networks, weights
+from anystyle.vision import networks, preprocess, weights
+from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.features import FeatureNetwork, Frozen
-from anystyle.vision.preprocess import shrunk
 from anystyle.vision.weights import Weights, bundled, locate, published
 
 LpipsBackbone = Literal["alex", "vgg"]
 
-NETWORK = {"alex": "alexnet", "vgg": "vgg16"}
-LAYERS = {
-    "alex": ("relu1", "relu2", "relu3", "relu4", "relu5"),
-    "vgg": ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3"),
-}
+_VGG = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
+NETWORKS = {"alex": ("alexnet", ("relu1", "relu2", "relu3", "relu4", "relu5")), "vgg": ("vgg16", _VGG)}
+"""The network of each backbone, and the layers that are compared."""
 STAND_IN_LAYERS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
 STAND_IN_SIDE = 128
 """Longest side in pixels that stand-ins see: they must be quick, not sharp."""
@@ -50,7 +48,7 @@ class Lpips(Frozen):
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
         """Features of images in [0, 1], of unit length, times the roots of the weights."""
         described: list[Tensor] = []
-        for index, features in enumerate(self.network(shrunk(images, self.longest), self.layers)):
+        for index, features in enumerate(self.network(preprocess.shrunk(images, self.longest), self.layers)):
             length = torch.linalg.vector_norm(features, dim=1, keepdim=True) + 1e-10
             features = features / length if torch.is_grad_enabled() else features.div_(length)
             described.append(features * self.get_buffer(f"head{index}"))
@@ -66,10 +64,31 @@ class Lpips(Frozen):
     def forward(self, preds: Float[Tensor, "M 3 H W"], target: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
         return self.compare(self.describe(preds), self.describe(target))
 
+    def cached(
+        self,
+        preds: Float[Tensor, "M 3 H W"],
+        target: Float[Tensor, "M 3 H W"],
+        *,
+        size: int | None,
+        rounded: bool,
+        gray: bool = False,
+    ) -> Float[Tensor, " M"]:
+        """The distances of images resized to a shorter side ``size`` unless it is ``None``; each is described once."""
+
+        def described(images: Tensor) -> list[Tensor]:
+            if size is not None:
+                images = preprocess.resized(images, size, rounded=rounded)
+            elif rounded:
+                images = preprocess.eight_bit(images)
+            return self.describe(preprocess.gray(images, rounded=rounded) if gray else images)
+
+        key = ("lpips", self.source.identity, size, rounded, gray)
+        return self.compare(*(CACHE.features(images, key, described) for images in (preds, target)))
+
 
 def load(backbone: LpipsBackbone, choice: Weights = "auto") -> Lpips:
     """LPIPS with published weights, or with a stand-in: features of the texture network, all with equal weights."""
-    name = NETWORK[backbone]
+    name, layers = NETWORKS[backbone]
     file = locate(name, choice)
     if file is None:
         network = networks.load("texture")
@@ -77,10 +96,10 @@ def load(backbone: LpipsBackbone, choice: Weights = "auto") -> Lpips:
         heads = [torch.full((features.shape[1],), 0.25) for features in maps]
         return Lpips(network, STAND_IN_LAYERS, heads, bundled(name, "texture_distance"), STAND_IN_SIDE)
     network = networks.load(name, file)
-    channels = [features.shape[1] for features in network(torch.zeros(1, 3, 64, 64), LAYERS[backbone])]
+    channels = [features.shape[1] for features in network(torch.zeros(1, 3, 64, 64), layers)]
     heads_file = weights.find(f"lpips_{backbone}")
     state = weights.read(heads_file)
     heads = [state.get(f"lin{index}.model.1.weight", torch.empty(0)).flatten().float() for index in range(5)]
     if len(state) != 5 or [len(head) for head in heads] != channels:
         raise UserError(f"{heads_file} does not hold the heads of LPIPS for {channels} channels; get it again")
-    return Lpips(network, LAYERS[backbone], heads, published(name, file))
+    return Lpips(network, layers, heads, published(name, file))

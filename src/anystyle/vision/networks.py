@@ -1,9 +1,11 @@
 """Frozen networks, loaded by name for losses and metrics."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+
+from torch import Tensor, nn
 
 from anystyle.errors import UserError
 from anystyle.types import Source
@@ -27,12 +29,14 @@ def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
     """A trained network of :data:`NETWORKS`, frozen, from a file or from where :func:`weights.find` looks."""
     if name not in NETWORKS:
         raise UserError(f"there is no perceptual network {name!r}; choose from {', '.join(NETWORKS)}")
-    file = weights.find(name, path)
-    network = NETWORKS[name]()
-    # Published files hold the classifier too, which networks without logits leave out.
+    file, network = weights.find(name, path), NETWORKS[name]()
+    return load_frozen(network, part_of(network, weights.read(file)), file)
+
+
+def part_of(network: nn.Module, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The weights without those of parts that a network leaves out, such as the classifier in published files."""
     parts = {key.partition(".")[0] for key in network.state_dict()}
-    state = {key: tensor for key, tensor in weights.read(file).items() if key.partition(".")[0] in parts}
-    return load_frozen(network, state, file)
+    return {key: tensor for key, tensor in state.items() if key.partition(".")[0] in parts}
 
 
 class Chosen(NamedTuple):
@@ -55,12 +59,11 @@ def choose(names: str, layers: Sequence[str]) -> Chosen:
 
     A layer that a network after the first lacks is replaced by its last of the same block, or of all.
     """
-    candidates = [name.strip() for name in names.split(",")]
-    known = (name for name in candidates if name not in NETWORKS or any(p.is_file() for p in weights.candidates(name)))
-    name = next(known, candidates[0])
-    network = load(name)
-    if name != candidates[0]:
+    first, *others = (name.strip() for name in names.split(","))
+    known = (n for n in (first, *others) if n not in NETWORKS or any(p.is_file() for p in weights.candidates(n)))
+    network = load(name := next(known, first))
+    if name != first:
         own = network.layers
         blocks = [[one for one in own if one.partition("_")[0] == layer.partition("_")[0]] for layer in layers]
         layers = [layer if layer in own else (block or own)[-1] for layer, block in zip(layers, blocks, strict=True)]
-    return Chosen(network, tuple(dict.fromkeys(layers)), name, candidates[0])
+    return Chosen(network, tuple(dict.fromkeys(layers)), name, first)

@@ -1,5 +1,7 @@
 """Preparing images for networks of metrics: resizing, rounding to 8 bits, removing colour."""
 
+from collections.abc import Sequence
+
 import kornia
 import numpy as np
 import torch
@@ -35,10 +37,17 @@ def resized(
 def as_pillow(images: Float[Tensor, "M 3 H W"], shape: tuple[int, int]) -> Float[Tensor, "M 3 h w"]:
     """Images resized by Pillow as in the published scripts: bilinear with antialiasing, 8 bits before and after."""
     eight = (images.clamp(0, 1) * 255).round().byte().cpu().permute(0, 2, 3, 1).contiguous().numpy()
-    height, width = shape
-    resized = [np.asarray(Image.fromarray(one).resize((width, height), Image.Resampling.BILINEAR)) for one in eight]
+    size = shape[1], shape[0]
+    resized = [np.asarray(Image.fromarray(one).resize(size, Image.Resampling.BILINEAR)) for one in eight]
     back = torch.from_numpy(np.stack(resized)).to(images.device).permute(0, 3, 1, 2)
     return back.to(images.dtype).contiguous() / 255
+
+
+def normalised(
+    images: Float[Tensor, "*batch 3 H W"], mean: Sequence[float], std: Sequence[float]
+) -> Float[Tensor, "*batch 3 H W"]:
+    """Images less the mean of each channel, over its deviation."""
+    return (images - images.new_tensor(mean)[:, None, None]) / images.new_tensor(std)[:, None, None]
 
 
 def shrunk(images: Float[Tensor, "M 3 H W"], longest: int | None) -> Float[Tensor, "M 3 h w"]:
@@ -49,6 +58,14 @@ def shrunk(images: Float[Tensor, "M 3 H W"], longest: int | None) -> Float[Tenso
     factor = longest / max(height, width)
     size = (max(1, round(height * factor)), max(1, round(width * factor)))
     return F.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
+
+
+def middle_square(images: Float[Tensor, "*batch H W"]) -> Float[Tensor, "*batch S S"]:
+    """The largest square in the middle of images."""
+    height, width = images.shape[-2:]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    return images[..., top : top + side, left : left + side]
 
 
 def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M 3 H W"]:
@@ -63,8 +80,7 @@ def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M
 
 def finite(images: Float[Tensor, "*batch"], what: str) -> Float[Tensor, "*batch"]:
     """The same images, or a UserError if a value is NaN or infinite."""
-    num_bad = int((~torch.isfinite(images)).sum())
-    if num_bad:
+    if num_bad := int((~torch.isfinite(images)).sum()):
         raise UserError(f"{what} hold {num_bad} values that are NaN or infinite; a metric needs numbers in [0, 1]")
     return images
 

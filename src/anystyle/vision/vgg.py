@@ -7,15 +7,14 @@ Stand-ins need it: features of random weights can be matched without any visible
 
 from collections.abc import Iterator, Sequence
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.vision.features import RGB, FeatureNetwork, walk
+from anystyle.vision.preprocess import normalised
 
-MEAN = (0.485, 0.456, 0.406)
-"""Of sRGB images of ImageNet in [0, 1], by which the published weights expect them to be normalised."""
-STD = (0.229, 0.224, 0.225)
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Channels of ImageNet's images in [0, 1], by which the published weights expect images to be normalised."""
 
 Blocks = Sequence[tuple[int, int]]
 """Channels and number of convolutions of each block."""
@@ -27,23 +26,14 @@ TEXTURE_BLOCKS: Blocks = ((32, 2), (64, 2), (96, 2), (128, 1))
 class Chain(FeatureNetwork):
     """Modules in a row, under torchvision's keys (``features.N.weight``), and which of them each layer's output is."""
 
-    mean: Tensor
-    std: Tensor
+    mean, std = MEAN, STD
 
-    def __init__(
-        self,
-        stages: Iterator[nn.Module],
-        names: dict[str, int],
-        mean: Sequence[float] = MEAN,
-        std: Sequence[float] = STD,
-    ) -> None:
+    def __init__(self, stages: Iterator[nn.Module], names: dict[str, int]) -> None:
         super().__init__()
         self.features, self.names, self.layers = nn.Sequential(*stages), names, (RGB, *names)
-        self.register_buffer("mean", torch.tensor(mean).view(3, 1, 1), persistent=False)
-        self.register_buffer("std", torch.tensor(std).view(3, 1, 1), persistent=False)
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
-        return walk(self.features, self.names, images, (images - self.mean) / self.std, layers)
+        return walk(self.features, self.names, images, normalised(images, self.mean, self.std), layers)
 
 
 class VGG16(Chain):
@@ -66,8 +56,10 @@ class Texture(Chain):
     Layers are named as VGG's are: ``relu1_1, relu1_2, relu2_1, relu2_2, relu3_1, relu3_2, relu4_1``.
     """
 
+    mean, std = (0.5,) * 3, (0.25,) * 3
+
     def __init__(self) -> None:
-        super().__init__(_texture(), _names(TEXTURE_BLOCKS), (0.5,) * 3, (0.25,) * 3)
+        super().__init__(_texture(), _names(TEXTURE_BLOCKS))
 
 
 class AlexNet(Chain):

@@ -121,14 +121,11 @@ class Tables(Protocol):
         return self._together(rows)
 
     def _model(self, guide: Literal["image", "text"]) -> ModelRenders:
+        patch_size = self.stylizer.backbone.patch_size
         return ModelRenders(
             stylizer=self.stylizer,
             metrics=self.metrics,
-            scenes=FolderScenes(
-                root=str(self.folder.root / "content"),
-                short_side=self.size,
-                multiple=self.stylizer.backbone.patch_size,
-            ),
+            scenes=FolderScenes(root=str(self.folder.root / "content"), short_side=self.size, multiple=patch_size),
             styles=FolderStyles(root=str(self.folder.styles), size=STYLE_SIZE),
             guide=guide,
             variant=self.variant,
@@ -140,19 +137,12 @@ class Tables(Protocol):
 
     def _cell(self, out: Path, scene: str, style: str, images: Mapping[int, Path]) -> StylizedImages:
         """Images of a scene in a style, by the places of their photographs."""
-        places = sorted(images)
-        content = self._content(out, scene, image_size(images[places[0]]))
-        return StylizedImages(
-            scene=scene,
-            style=style,
-            frames=tuple(f"{place:03d}" for place in places),
-            content=tuple(content[place] for place in places),
-            stylized=tuple(images[place] for place in places),
-            reference=self._style(out, style),
-            numbers=tuple(places),
-        )
+        places, stylized = zip(*sorted(images.items()), strict=True)
+        photographs = self._content(out, scene, image_size(stylized[0]))
+        frames, content = zip(*((f"{place:03d}", photographs[place]) for place in places), strict=True)
+        return StylizedImages(scene, style, frames, content, stylized, self._style(out, style), numbers=places)
 
-    def _content(self, out: Path, scene: str, size: tuple[int, int]) -> tuple[Path, ...]:
+    def _content(self, out: Path, scene: str, size: tuple[int, int]) -> list[Path]:
         """The photographs of a scene, cut to a width and height and written as the variant writes images."""
         folder = out / "content" / f"{size[0]}x{size[1]}" / scene
         paths: list[Path] = []
@@ -161,7 +151,7 @@ class Tables(Protocol):
             if not paths[-1].is_file():
                 picture, _ = read_picture(source, source.stem, (size[1], size[0]))
                 write_picture(paths[-1], to_tensor(picture), self.variant)
-        return tuple(paths)
+        return paths
 
     def _style(self, out: Path, style: str) -> Path:
         path = out / "styles" / f"{style}{suffix_of(self.variant)}"
@@ -171,25 +161,23 @@ class Tables(Protocol):
         return path
 
     def _together(self, rows: Mapping[str, Evaluation]) -> Evaluation:
-        name, first = next(iter(rows.items()))
+        title, first = next(iter(rows.items()))
         warnings = (text for row in rows.values() for text in row.provenance.get("warnings", []))
         return replace(
             first,
             n=sum(row.n for row in rows.values()),
-            groups={other: row.figures for other, row in rows.items() if other != name},
-            rows=tuple(
-                replace(item, scene=f"{method}/{item.scene}") for method, row in rows.items() for item in row.rows
-            ),
+            groups={name: row.figures for name, row in rows.items() if name != title},
+            rows=tuple(replace(item, scene=f"{name}/{item.scene}") for name, row in rows.items() for item in row.rows),
             stand_ins={figure: network for row in rows.values() for figure, network in row.stand_ins.items()},
             provenance={
                 "variant": self.variant,
                 "scenes": list(self.folder.scene_names),
                 "methods": list(rows),
-                "title": name,
+                "title": title,
                 "warnings": list(dict.fromkeys(warnings)),
                 "missing": [
-                    {**gap, "scene": f"{method}/{gap['scene']}"}
-                    for method, row in rows.items()
+                    gap | {"scene": f"{name}/{gap['scene']}"}
+                    for name, row in rows.items()
                     for gap in row.provenance["missing"]
                 ],
             },

@@ -5,9 +5,9 @@ A missing file raises, and nothing is downloaded unless ``anystyle weights downl
 folder ``assets``.
 """
 
-from anystyle.types import Source
+from anystyle.types.network import checksums, stand_ins
 from anystyle.vision.weights.licenses import License, binding, license_lines, license_meaning, licenses
-from anystyle.vision.weights.reading import IGNORED, read
+from anystyle.vision.weights.reading import read
 from anystyle.vision.weights.search import (
     FOLDERS,
     MissingWeights,
@@ -18,15 +18,13 @@ from anystyle.vision.weights.search import (
     has_hub,
     verified,
 )
-from anystyle.vision.weights.sources import Weights, bundled, checksums, locate, published, stand_ins
+from anystyle.vision.weights.sources import Weights, bundled, locate, published
 from anystyle.vision.weights.table import WeightsFile, files, row
 
 __all__ = [
     "FOLDERS",
-    "IGNORED",
     "License",
     "MissingWeights",
-    "Source",
     "Weights",
     "WeightsFile",
     "binding",

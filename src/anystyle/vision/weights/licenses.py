@@ -43,13 +43,12 @@ class License:
 
 def licenses(loaded: object) -> dict[str, dict[str, str]]:
     """For each part that was loaded from a ``file``: the file, its licence, and what that means for a result."""
-    if not isinstance(loaded, Mapping):
-        return {}
     names = {entry.file: entry.license for entry in files().values()}
-    known = {part: (str(entry["file"]), License.named(names.get(str(entry["file"])))) for part, entry in loaded.items()}
-    return {
-        part: {"file": file, "license": terms.name, "means": terms.meaning} for part, (file, terms) in known.items()
-    }
+    found: dict[str, dict[str, str]] = {}
+    for part, entry in loaded.items() if isinstance(loaded, Mapping) else ():
+        terms = License.named(names.get(file := str(entry["file"])))
+        found[part] = {"file": file, "license": terms.name, "means": terms.meaning}
+    return found
 
 
 def license_meaning(license: str | None) -> str:

@@ -71,10 +71,8 @@ def _torch_file(path: Path) -> Any:
             if any(name.split("/")[1:2] == ["constants.pkl"] for name in archive.namelist()):
                 raise UserError(f"{path} is a TorchScript program; get the state dict, as .safetensors or .pt")
         known = torch.serialization.get_unsafe_globals_in_checkpoint(path)
-    ignored: list[Any] = [(_Ignored, name) for name in known if name.startswith(IGNORED)]
-    if foreign := sorted(set(known) - {name for _, name in ignored}):
-        raise UserError(
-            f"{path} holds code or objects of other programs ({', '.join(foreign)}); get the state dict alone"
-        )
+    if foreign := ", ".join(sorted(name for name in known if not name.startswith(IGNORED))):
+        raise UserError(f"{path} holds code or objects of other programs ({foreign}); get only the state dict")
+    ignored: list[Any] = [(_Ignored, name) for name in known]
     with torch.serialization.safe_globals(ignored):
         return torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)

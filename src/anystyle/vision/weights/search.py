@@ -72,9 +72,8 @@ def download(name: str) -> Path:
     entry = row(name)
     put = f"put it as {entry.file} into a folder that {FOLDERS} names"
     if entry.hub is None:
-        raise UserError(
-            f"the Hugging Face hub does not have {name!r}: get it from {entry.source} ({entry.license}) and {put}"
-        )
+        found = f"get it from {entry.source} ({entry.license}) and {put}"
+        raise UserError(f"the Hugging Face hub does not have {name!r}: {found}")
     try:
         from huggingface_hub import hf_hub_download  # pyright: ignore[reportMissingImports]
     except ImportError:

@@ -1,7 +1,6 @@
 """Which weights a network has: published ones, or a stand-in."""
 
 import logging
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -44,14 +43,3 @@ def _digest(file: Path, changed: int, size: int) -> str:
 def bundled(network: str, stand_in: str) -> Source:
     """The source of a stand-in that rests on the bundled texture network."""
     return replace(published("texture", find("texture")), network=network, stand_in=stand_in)
-
-
-def stand_ins(figures: Iterable[str], *sources: Source) -> dict[str, str]:
-    """For each of the figures that rest on these networks, the stand-ins among them; empty where there is none."""
-    names = ", ".join(dict.fromkeys(source.stand_in for source in sources if source.stand_in))
-    return dict.fromkeys(figures, names) if names else {}
-
-
-def checksums(*sources: Source) -> dict[str, str]:
-    """The SHA-256 of every file that was read, by its name."""
-    return {source.file: source.sha256 for source in sources if source.file}

@@ -1,9 +1,11 @@
 """The rows of ``weights.toml``: where each file of weights comes from, and under what licence."""
 
-import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
 
 from anystyle.errors import UserError, unknown
 from anystyle.io.documents import read_toml
@@ -25,14 +27,10 @@ class WeightsFile:
     bundled: bool = False  # comes with the package of this row
     size: int | None = None  # of the file in bytes, where its publisher states it
     tensors: int | None = None  # bytes of the tensors that the network has, computed; the file may hold more
-    hub: str | None = None  # its path on the Hugging Face hub: owner/repository/path
-    package: str | None = None  # an installed package that contains it: package/path
-
-    def __post_init__(self) -> None:
-        if self.hub is not None and not re.fullmatch(r"(?!.*(--|\.\.))\w[\w.-]*/\w[\w.-]*/[^/\0][^\0]*", self.hub):
-            raise ValueError(f"hub is {self.hub!r}; expected owner/repository/path")
-        if self.package is not None and not re.fullmatch(r"[A-Za-z_]\w*/[^\0]+", self.package):
-            raise ValueError(f"package is {self.package!r}; expected package/path")
+    # On the Hugging Face hub: owner/repository/path.
+    hub: Annotated[str, Meta(pattern=r"^(?!.*(--|\.\.))\w[\w.-]*/\w[\w.-]*/[^/\0][^\0]*$")] | None = None
+    # In an installed package: package/path.
+    package: Annotated[str, Meta(pattern=r"^[A-Za-z_]\w*/[^\0]+$")] | None = None
 
 
 def files() -> dict[str, WeightsFile]:
