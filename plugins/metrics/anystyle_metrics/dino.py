@@ -14,12 +14,9 @@ from anystyle.vision import networks
 from anystyle.vision.features import Frozen, load_frozen
 from anystyle.vision.weights import Weights, find, locate, published, read
 
-DEPTH, HEAD, RESOLUTION = 12, 64, 224
-"""Blocks, channels of an attention head, and the side in pixels that position embeddings are stored for."""
-OFFSET = 0.1
-"""Added to the sides of a grid of patches where position embeddings are resampled, as published."""
-SIZES = {"dino_vitb8": (768, 8), "dino_vits16": (384, 16)}
-"""Channels and side of a patch of each network."""
+DEPTH, HEAD, RESOLUTION = 12, 64, 224  # blocks, channels of a head, pixels that position embeddings are stored for
+OFFSET = 0.1  # added to the sides of a grid of patches where position embeddings are resampled, as published
+SIZES = {"dino_vitb8": (768, 8), "dino_vits16": (384, 16)}  # channels and side of a patch
 STAND_IN = "efficientnet_lite0"
 
 
@@ -32,10 +29,8 @@ class Dino(Frozen):
         self.patch_embed = nn.ModuleDict({"proj": nn.Conv2d(3, dim, patch_size, stride=patch_size)})
         self.cls_token = nn.Parameter(torch.zeros(1, 1, dim))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + grid**2, dim))
-        # It has no LayerScale, which a gain of 1 is.
-        self.blocks = nn.ModuleList(
-            Block(dim, dim // HEAD, mlp_ratio=4.0, layer_scale=1.0, eps=1e-6) for _ in range(depth)
-        )
+        block = {"mlp_ratio": 4.0, "layer_scale": 1.0, "eps": 1e-6}  # it has no LayerScale, which a gain of 1 is
+        self.blocks = nn.ModuleList(Block(dim, dim // HEAD, **block) for _ in range(depth))
         self.norm = nn.LayerNorm(dim, eps=1e-6)
 
     def keys(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M L C"]:
