@@ -76,8 +76,9 @@ class Brush(Method):
                 base = stylizer.restyle(scene, embedding).detach()
             else:
                 alpha = None if scene.views.alpha is None else scene.views.alpha[0]
-                options = {"steps": 2, "largest": True, "alpha": alpha}
-                base = fit_colors(gaussians, scene.cameras, painted, renderer, **options).detach()
+                base = fit_colors(
+                    gaussians, scene.cameras, painted, renderer, steps=2, largest=True, alpha=alpha
+                ).detach()
             pixels = pixels_shown(gaussians, scene.cameras, renderer)
         canvas = _Canvas.of(scene, gaussians, pixels)
         photographs = rgb_from_constant(scene.attributes.color[0, ..., 0]).movedim(-1, 1).float()

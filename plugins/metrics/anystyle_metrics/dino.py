@@ -29,8 +29,10 @@ class Dino(Frozen):
         self.patch_embed = nn.ModuleDict({"proj": nn.Conv2d(3, dim, patch_size, stride=patch_size)})
         self.cls_token = nn.Parameter(torch.zeros(1, 1, dim))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + grid**2, dim))
-        block = {"mlp_ratio": 4.0, "layer_scale": 1.0, "eps": 1e-6}  # it has no LayerScale, which a gain of 1 is
-        self.blocks = nn.ModuleList(Block(dim, dim // HEAD, **block) for _ in range(depth))
+        # It has no LayerScale, which a gain of 1 is.
+        self.blocks = nn.ModuleList(
+            Block(dim, dim // HEAD, mlp_ratio=4.0, layer_scale=1.0, eps=1e-6) for _ in range(depth)
+        )
         self.norm = nn.LayerNorm(dim, eps=1e-6)
 
     def keys(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M L C"]:
