@@ -5,10 +5,9 @@ with hashed weights in fp32 and writes them as its checkpoint, which both networ
 its own. They take turns on the CPU and never run at once. It prints a table and writes the figures as JSON.
 
 What its network needs has to be installed: ``pip install einops``, ``pip install --no-build-isolation torch-scatter``.
-What is merely imported is replaced (``published_stand_ins.py``), and so are two things that the network does when it is
-built or called: the weights of VGGT are not downloaded, and its casts to bf16 are casts to fp32. Nothing is rendered.
-Seconds are of CPU time. Memory is the largest resident set of each process over all it does for a scene, the weights,
-which both map from the same file, included.
+What is only imported is replaced (``published_stand_ins.py``). VGGT's weights are not downloaded, its casts to bf16
+are casts to fp32, and nothing is rendered. Seconds are of CPU time, memory is the largest resident set of each process
+over all it does for a scene, with the weights, which both map from the same file.
 """
 
 import argparse
@@ -130,18 +129,6 @@ def ours(case: Case) -> dict[str, Step]:
     return {"single": single, "encode": encode, "style": style}
 
 
-def forget_peak() -> None:
-    """Let the process's peak begin at what it holds now."""
-    Path("/proc/self/clear_refs").write_text("5")
-
-
-def peak() -> float:
-    """The most memory that the process has held since, in bytes."""
-    found = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
-    assert found is not None
-    return 1024.0 * int(found[1])
-
-
 def work(build: Callable[[Case], dict[str, Step]], case: Case, pipe: Connection) -> None:
     """A process that holds one network: names of steps in, what they took out."""
     torch.set_num_threads(case.threads)
@@ -152,11 +139,14 @@ def work(build: Callable[[Case], dict[str, Step]], case: Case, pipe: Connection)
         for step, views, size, seed in iter(pipe.recv, None):
             images = smooth_image(seed, [1, views, 3, *size])
             vector = F.normalize(hashed(1000 + seed, (1, 512), -1, 1), dim=-1)
-            forget_peak()
+            Path("/proc/self/clear_refs").write_text("5")  # the peak begins at what is held now
             started = time.process_time()
             result = steps[step](images, vector)
             seconds = time.process_time() - started
-            pipe.send((seconds, peak(), result and {name: tensor.numpy() for name, tensor in result.items()}))
+            peak = re.findall(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+            pipe.send(
+                (seconds, 1024.0 * int(peak[0]), result and {name: tensor.numpy() for name, tensor in result.items()})
+            )
             del result
 
 
@@ -220,7 +210,7 @@ def table(found: Mapping[str, Any]) -> str:
     seconds = {key: statistics.median(values) for key, values in found["CPU seconds"].items()}
     memory = {key: value / 2**30 for key, value in found["peak bytes"].items()}
     whole, differs = seconds["published single"], dict(found["differences"])
-    gaussians, same = differs.pop("Gaussians"), differs.pop("same centres")
+    (mine, theirs), same = differs.pop("Gaussians"), differs.pop("same centres")
     lines = [
         f"| {found['setting']['variant']} | encode | one more style | single pass | peak memory |",
         "|---|---|---|---|---|",
@@ -231,7 +221,7 @@ def table(found: Mapping[str, Any]) -> str:
         f"| {found['memory, share']:.2f} of it |",
         "", "| equality | largest difference | of the largest value |", "|---|---|---|",
         *(f"| {name} | {worst:.1e} | {share:.1e} |" for name, (worst, share) in differs.items()),
-        f"\n{gaussians[0]} Gaussians of ours and {gaussians[1]} published, {same:.4%} of which have the same centres.",
+        f"\n{mine} Gaussians of ours and {theirs} published, {same:.4%} of which have the same centres.",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 

@@ -1,12 +1,11 @@
-"""Stands in for what the published code imports and its network does not use.
+"""Stands in for what the published code imports and its network does not use; any name can be imported from them.
 
 - ``e3nn``: rotations of harmonics, which its Gaussian adapter imports and never calls;
 - ``torchvision``: backbones that are not chosen, and pictures;
 - ``xformers``: the variant with cross-attention, which is not chosen;
 - ``src.dataset``, of the published code itself: readers of training data, which import much more.
 
-Any name can be imported from them. Nothing timed goes through them: a stand-in does nothing when it is called, and
-einops and torch-scatter, which the network does use, have to be installed.
+Nothing timed goes through them. The network uses einops and torch-scatter, which have to be installed.
 """
 
 import sys

@@ -14,7 +14,7 @@ from anystyle.evaluation.comparisons import write_cameras
 from anystyle.io.atomic import write_json
 from anystyle.types import Cameras
 from anystyle_benchmark.results import Cell, Record, bind
-from anystyle_benchmark.spec import Spec, as_document
+from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
 HEIGHT, WIDTH = 48, 64
@@ -62,7 +62,7 @@ def write_results(track: Path, root: Path, methods: Sequence[str] = METHODS, *, 
     for method in methods:
         count = seeds if method == "noise" else 1
         spec = Spec(method, title=method.title(), guides=("image", "text"), baseline=True, seeds=count, preset=("x=y",))
-        write_json(root / method / "method.json", as_document(spec))
+        write_json(root / method / "method.json", msgspec.to_builtins(spec))
         for seed in range(count):
             for scene in inputs.track.scenes:
                 for style in inputs.track.styles:

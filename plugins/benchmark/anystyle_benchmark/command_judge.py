@@ -14,7 +14,8 @@ from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import as_number
 from anystyle_benchmark.judge import Judge, inputs_of, read_methods, wrong
-from anystyle_benchmark.results import FIGURES, CellFigures, Figures, Interval, bind
+from anystyle_benchmark.results import FIGURES, Figures, Interval, bind
+from anystyle_benchmark.statistics import cost
 from anystyle_benchmark.track import Inputs
 
 INTERVALS = (
@@ -35,63 +36,53 @@ def parser() -> argparse.ArgumentParser:
     add("--track", metavar="NAME", help="a track, or a track.toml (default: that of the results)")
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     add("--metrics", default="", metavar="A,B", help="only these of the track's metrics")
-    add(
-        "--check",
-        type=Path,
-        metavar="FOLDER",
-        help="judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png",
-    )
+    check = "judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png"
+    add("--check", type=Path, metavar="FOLDER", help=check)
     return flags
 
 
-def main(words: Sequence[str]) -> None:
+def main(args: Sequence[str]) -> None:
     """Run ``anystyle benchmark judge``."""
-    arguments = parse(parser(), words)
-    if arguments.check is not None:
+    arguments = parse(parser(), args)
+    if (folder := arguments.check) is not None:
         if arguments.track is None:
             raise UserError("--check needs --track NAME: the track that the images are for")
-        check(Inputs(arguments.track, arguments.root), arguments.check)
+        inputs = Inputs(arguments.track, arguments.root)
+        lines = wrong(inputs, folder)
+        whole = f"every image of {folder} can be judged on {inputs.track.name} {inputs.track.version}"
+        print("\n".join(lines) or whole)
+        if lines:
+            raise UserError(f"{len(lines)} thing{'s are' if len(lines) > 1 else ' is'} wrong with {folder}")
         return
-    if arguments.results is None:
+    if (results := arguments.results) is None:
         raise UserError("name the folder of results, or --check FOLDER")
-    specs = read_methods(arguments.results)
-    inputs = inputs_of(arguments.results, arguments.track, arguments.root)
-    lock = bind(inputs, arguments.results)
-    judge = Judge(inputs, arguments.results, tuple(filter(None, arguments.metrics.split(","))))
+    specs = read_methods(results)
+    inputs = inputs_of(results, arguments.track, arguments.root)
+    lock = bind(inputs, results)
+    judge = Judge(inputs, results, tuple(filter(None, arguments.metrics.split(","))))
     figures = judge(specs, lock, progress_lines())
-    write_json(arguments.results / FIGURES, msgspec.to_builtins(figures))
-    table = summary(figures, judge.headline).markdown()
+    write_json(results / FIGURES, msgspec.to_builtins(figures))
+    table = summary(figures).markdown()
     for name, text in (("table.md", table), ("table.csv", listing(figures).csv())):
-        with atomic_path(arguments.results / name) as path:
+        with atomic_path(results / name) as path:
             path.write_text(text, encoding="utf-8")
     for cell in figures.cells:
         if cell.message:
-            print(
-                f"{cell.status}: {cell.method}, {cell.seed}, {cell.scene}, {cell.style}: {cell.message}",
-                file=sys.stderr,
-            )
-    print(table, end="")
-    print(f"\nin {arguments.results}: {FIGURES}, table.md, table.csv")
+            where = ", ".join(map(str, cell.cell))
+            print(f"{cell.status}: {where}: {cell.message}", file=sys.stderr)
+    print(f"{table}\nin {results}: {FIGURES}, table.md, table.csv")
 
 
-def check(inputs: Inputs, folder: Path) -> None:
-    """Print what is wrong with a folder of images, and end with an error if anything is."""
-    lines = wrong(inputs, folder)
-    print("\n".join(lines) or f"every image of {folder} can be judged on {inputs.track.name} {inputs.track.version}")
-    if lines:
-        raise UserError(f"{len(lines)} things are wrong with {folder}" if len(lines) > 1 else f"see above, in {folder}")
-
-
-def summary(figures: Figures, headline: Sequence[str]) -> Table:
+def summary(figures: Figures) -> Table:
     """Methods down and metrics across, in a block for each guide."""
-    shown = [name for name in headline if any(name in row.figures for row in figures.table)]
+    shown = [name for name in figures.headline if any(name in row.figures for row in figures.table)]
     rows: list[tuple[str, ...]] = []
     for guide in dict.fromkeys(row.guide for row in figures.table):
         rows.append((f"by {guide}s",))
         for row in (row for row in figures.table if row.guide == guide):
             values = [spread(row.figures.get(name)) for name in shown]
-            seconds = cost([cell for cell in figures.cells if (cell.method, cell.guide) == (row.method, guide)])
-            title = figures.methods[row.method]["title"]
+            seconds = cost(figures.cells_of(row.method, guide))
+            title = figures.methods[row.method].title
             rows.append((title, f"{row.cells - row.failed} of {row.cells}", *values, number(seconds)))
     better = {name: info.better for name, info in figures.metrics.items()}
     networks = {name: figures.metrics[name].stand_in for name in shown if figures.metrics[name].stand_in}
@@ -104,17 +95,11 @@ def summary(figures: Figures, headline: Sequence[str]) -> Table:
 
 def listing(figures: Figures) -> Table:
     """Every figure of every method in a row of its own."""
-    rows = [
-        (
-            row.method,
-            row.guide,
-            name,
-            *(f"{as_number(value):.7g}" for value in (one.mean, one.low, one.high)),
-            str(one.n),
-        )
-        for row in figures.table
-        for name, one in row.figures.items()
-    ]
+    rows = []
+    for row in figures.table:
+        for name, one in row.figures.items():
+            values = [f"{as_number(value):.7g}" for value in (one.mean, one.low, one.high)]
+            rows.append((row.method, row.guide, name, *values, str(one.n)))
     return Table(("method", "guide", "figure", "mean", "low", "high", "n"), tuple(rows))
 
 
@@ -124,19 +109,3 @@ def spread(interval: Interval | None) -> str:
         return "–"
     low, high = as_number(interval.low), as_number(interval.high)
     return number(as_number(interval.mean)) + (f" ± {number((high - low) / 2)}" if high >= low else "")
-
-
-def cost(cells: Sequence[CellFigures]) -> float | None:
-    """Mean CPU seconds of a further style."""
-    return _mean([cell.seconds for cell in cells if cell.seconds is not None])
-
-
-def scene_cost(cells: Sequence[CellFigures]) -> float | None:
-    """Mean CPU seconds of what is done once a scene; ``None`` where that is not known of any."""
-    timed = [cell for cell in cells if cell.seconds is not None]
-    scenes = {(cell.seed, cell.scene): cell.scene_seconds for cell in timed if cell.scene_seconds is not None}
-    return _mean(list(scenes.values()))
-
-
-def _mean(seconds: Sequence[float]) -> float | None:
-    return sum(seconds) / len(seconds) if seconds else None

@@ -26,8 +26,6 @@ from anystyle.registry.compose import compose
 from anystyle.types import Style, StyleEmbedding, Views
 from anystyle.vision.weights import MissingWeights
 
-METHOD_WORDS = ("method=", "method.", "loss=", "loss.")
-
 
 class Measured(NamedTuple):
     """One row: what was run, seconds of wall clock and of the process in the fastest repeat, and a remark."""
@@ -38,39 +36,53 @@ class Measured(NamedTuple):
     note: str = ""
 
 
-class Profile(Command):
-    """Measure this machine: encoding, single pass, restyling, renderers and memory, in one table."""
-
-    def __call__(self, words: Sequence[str]) -> None:
-        profile(words)
-
-
 def parser() -> argparse.ArgumentParser:
-    """The flags of ``anystyle profile``; every other word is an override of the model's configuration."""
+    """The flags of ``anystyle profile``; every other argument is an override of the model's configuration."""
     flags = new_parser(
         "profile",
         "Measure this machine. model=NAME chooses a model, weights=... its weights, method=NAME a method "
         "that is measured beside the single pass; all as for stylize.",
     )
     flags.add_argument("--views", default="2,4,8", help="numbers of views (default: %(default)s)")
-    flags.add_argument("--size", metavar="HxW", help="of a view (default: the model's, square)")
+    flags.add_argument("--size", metavar="HxW", help="size of a view (default: the model's, square)")
     flags.add_argument("--repeat", type=int, default=2, help="runs, of which the fastest counts (default: %(default)s)")
     flags.add_argument("--out", default="profile.json", help="the results as JSON (default: %(default)s)")
     return flags
 
 
-def timed(function: Callable[[], object]) -> tuple[float, float]:
-    """Wall-clock and CPU seconds of one run."""
+class Profile(Command):
+    """Measure this machine: encoding, single pass, restyling, renderers and memory, in one table."""
 
-    def clocks() -> tuple[float, float]:
-        if torch.cuda.is_available():
-            torch.cuda.synchronize()
-        return time.perf_counter(), time.process_time()
-
-    wall, cpu = clocks()
-    function()
-    end = clocks()
-    return end[0] - wall, end[1] - cpu
+    def __call__(self, words: Sequence[str]) -> None:
+        arguments, overrides = split(parser(), words)
+        matched = re.fullmatch(r"(\d+)x(\d+)", arguments.size or "0x0")
+        if matched is None:
+            raise UserError(f"--size takes height and width such as 224x448, not {arguments.size!r}")
+        size = (int(matched[1]), int(matched[2])) if arguments.size else None
+        counts = [int(word) if word.strip().isdecimal() else 0 for word in arguments.views.split(",")]
+        if min(counts) < 1:
+            raise UserError(f"--views takes numbers of at least 1 such as 2,4,8, not {arguments.views!r}")
+        if arguments.repeat < 1:
+            raise UserError(f"--repeat is {arguments.repeat}; measure at least once")
+        of_method = [word for word in overrides if word.startswith(("method=", "method.", "loss=", "loss."))]
+        case = Case([word for word in overrides if word not in of_method], size)
+        print(f"{counts[0]} views …", file=sys.stderr, flush=True)
+        views = case.views(counts[0])
+        rows = [*case.passes(views, arguments.repeat), *case.renderers(views, arguments.repeat)]
+        rows += [case.method(views, of_method)] if of_method else []
+        peaks = {count: case.peak_memory(case.views(count)) for count in counts}
+        setting = {
+            "machine": platform.processor() or platform.machine(),
+            "threads": torch.get_num_threads(),
+            "versions": {name: version(name) for name in ("anystyle", "torch")},
+            "overrides": overrides,
+            "size": arguments.size,
+            "views": counts[0],
+            "repeat": arguments.repeat,
+        }
+        document = {"setting": setting, "rows": [row._asdict() for row in rows]}
+        write_json(arguments.out, document | {"peaks": {str(count): peak for count, peak in peaks.items()}})
+        print(f"{counts[0]} views:\n\n{table(rows, peaks)}\nin {arguments.out}")
 
 
 class Case:
@@ -111,7 +123,7 @@ class Case:
         ratio = restyle[1] / max(single[1], 1e-9)
         note = f"{ratio:.3f} of the single pass's CPU time; results {'equal' if same else 'DIFFER'}"
         return [
-            Measured("encode", *encode, "once a scene"),
+            Measured("encode", *encode, "once per scene"),
             Measured("single pass", *single, "what the published code pays for every style"),
             Measured("restyle", *restyle, note),
         ]
@@ -156,6 +168,17 @@ class Case:
         return memory.peak(single_pass, weights) + sum(weight.nbytes for weight in weights)
 
 
+def timed(function: Callable[[], object]) -> tuple[float, float]:
+    """Wall-clock and CPU seconds of one run."""
+    clocks = []
+    for work in (lambda: None, function):
+        work()
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        clocks.append((time.perf_counter(), time.process_time()))
+    return clocks[1][0] - clocks[0][0], clocks[1][1] - clocks[0][1]
+
+
 def without_missing(words: Sequence[str]) -> list[str]:
     """The words that leave the parts as initialised whose weights are not on this machine: a pass costs the same."""
     missing: list[str] = []
@@ -169,40 +192,6 @@ def without_missing(words: Sequence[str]) -> list[str]:
     return missing
 
 
-def profile(words: Sequence[str]) -> None:
-    """Measure and print."""
-    arguments, overrides = split(parser(), words)
-    matched = re.fullmatch(r"(\d+)x(\d+)", arguments.size or "0x0")
-    if matched is None:
-        raise UserError(f"--size takes height and width such as 224x448, not {arguments.size!r}")
-    size = (int(matched[1]), int(matched[2])) if arguments.size else None
-    counts = [int(word) if word.strip().isdecimal() else 0 for word in arguments.views.split(",")]
-    if min(counts) < 1:
-        raise UserError(f"--views takes numbers of at least 1 such as 2,4,8, not {arguments.views!r}")
-    if arguments.repeat < 1:
-        raise UserError(f"--repeat is {arguments.repeat}; measure at least once")
-    of_method = [word for word in overrides if word.startswith(METHOD_WORDS)]
-    overrides = [word for word in overrides if word not in of_method]
-    case = Case(overrides, size)
-    print(f"{counts[0]} views …", file=sys.stderr, flush=True)
-    views = case.views(counts[0])
-    rows = [*case.passes(views, arguments.repeat), *case.renderers(views, arguments.repeat)]
-    rows += [case.method(views, of_method)] if of_method else []
-    peaks = {count: case.peak_memory(case.views(count)) for count in counts}
-    setting = {
-        "machine": platform.processor() or platform.machine(),
-        "threads": torch.get_num_threads(),
-        "versions": {name: version(name) for name in ("anystyle", "torch")},
-        "overrides": [*overrides, *of_method],
-        "size": arguments.size,
-        "views": counts[0],
-        "repeat": arguments.repeat,
-    }
-    stored = {"setting": setting, "rows": [row._asdict() for row in rows], "peaks": {str(n): peaks[n] for n in peaks}}
-    write_json(arguments.out, stored)
-    print(f"{counts[0]} views:\n\n{table(rows, peaks)}\nin {arguments.out}")
-
-
 def table(rows: Sequence[Measured], peaks: Mapping[int, int]) -> str:
     """The Markdown tables of times and of peak bytes by number of views."""
     lines = ["| what | seconds | CPU seconds | note |", "|---|---|---|---|"]
@@ -211,5 +200,5 @@ def table(rows: Sequence[Measured], peaks: Mapping[int, int]) -> str:
     lines += [f"| {views} | {size / 2**20:.0f} MiB |" for views, size in peaks.items()]
     if len(peaks) > 1:
         slope = np.polyfit(list(peaks), list(peaks.values()), 1)[0] / 2**20
-        lines.append(f"\nMemory grows by {slope:.1f} MiB a view.")
+        lines.append(f"\nMemory grows by {slope:.1f} MiB per view.")
     return "\n".join(lines)

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from anystyle.cli.arguments import is_override, new_parser, split
@@ -14,7 +15,7 @@ from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json
 from anystyle_benchmark.results import Cell, bind, cells_of, is_done
 from anystyle_benchmark.run import run_scene
-from anystyle_benchmark.spec import PROGRAM, Spec, as_document, names, read_spec
+from anystyle_benchmark.spec import Spec, names, read_spec
 from anystyle_benchmark.track import Inputs
 
 CONF = Path(__file__).parent / "conf"
@@ -34,9 +35,9 @@ def parser() -> argparse.ArgumentParser:
     return flags
 
 
-def main(words: Sequence[str]) -> None:
+def main(args: Sequence[str]) -> None:
     """Run ``anystyle benchmark run``."""
-    _, rest = split(parser(), list(words))
+    _, rest = split(parser(), list(args))
     options = [str(key) for key in OmegaConf.load(CONF / "benchmark.yaml") if key not in ("defaults", "hydra")]
     for key in (word.partition("=")[0] for word in rest if is_override(word)):
         if key.isidentifier() and key not in options:
@@ -50,7 +51,9 @@ def benchmark(config: DictConfig) -> None:
     scenes = [inputs.scene(name) for name in _chosen(config.scenes)] or inputs.track.scenes
     styles = [inputs.style(name) for name in _chosen(config.styles)] or inputs.track.styles
     pages = [inputs.style(name).name for name in _chosen(config.pages)]
-    seeds = [_seed(word) for word in _chosen(config.seeds)]
+    if strange := [word for word in _chosen(config.seeds) if not word.isdecimal()]:
+        raise UserError(f"seeds={strange[0]}; give integers of at least 0")
+    seeds = list(map(int, _chosen(config.seeds)))
     specs = [read_spec(name) for name in _chosen(config.methods) or names()]
     root = Path(str(config.out))
     for spec, _ in specs:
@@ -58,7 +61,7 @@ def benchmark(config: DictConfig) -> None:
     bind(inputs, root)
     cells: list[Cell] = []
     for spec, home in specs:
-        write_json(root / spec.name / "method.json", as_document(spec))
+        write_json(root / spec.name / "method.json", msgspec.to_builtins(spec))
         if spec.not_run is not None:
             _say(f"{spec.name} is not run: {spec.not_run}")
             continue
@@ -75,21 +78,15 @@ def benchmark(config: DictConfig) -> None:
 
 def _check_program(spec: Spec, root: Path) -> None:
     """Refuse a method where another program of its name has made images: figures would be of both."""
-    folder = root / spec.name
-    kept = kept_json(folder / "method.json", Spec)
-    fields = [] if kept is None else [name for name in PROGRAM if getattr(kept, name) != getattr(spec, name)]
+    folder, program = root / spec.name, ("preset", "command", "requirements", "folder")
+    kept = kept_json(folder / "method.json", Spec) or spec
+    fields = [name for name in program if getattr(kept, name) != getattr(spec, name)]
     if fields and any(is_done(cell, root) for cell in cells_of(root, spec.name)):
         raise UserError(f"{folder} holds images made by another {fields[0]}; delete it, or name the method differently")
 
 
 def _chosen(value: object) -> list[str]:
     return [] if value is None else [str(one) for one in value] if isinstance(value, ListConfig) else [str(value)]
-
-
-def _seed(word: str) -> int:
-    if not word.isdecimal():
-        raise UserError(f"seeds={word}; give integers of at least 0")
-    return int(word)
 
 
 def _say(line: str) -> None:

@@ -1,4 +1,4 @@
-"""Environments of pinned packages, one a set of requirements, made when a method first needs it."""
+"""Environments of pinned packages, one per set of requirements, made when a method first needs it."""
 
 import hashlib
 import os
@@ -18,8 +18,7 @@ def interpreter(requirements: Sequence[str]) -> Path:
     if not requirements:
         return Path(sys.executable)
     wanted = "\n".join(sorted(requirements))
-    key = hashlib.sha256(f"{sys.version_info[:2]}\n{wanted}".encode()).hexdigest()[:16]
-    folder = environments() / key
+    folder = environments() / hashlib.sha256(f"{sys.version_info[:2]}\n{wanted}".encode()).hexdigest()[:16]
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     folder.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(f"{folder}.lock"):
@@ -35,11 +34,9 @@ def interpreter(requirements: Sequence[str]) -> Path:
 
 def environments() -> Path:
     """The folder of all environments; ``ANYSTYLE_ENVIRONMENTS`` names another."""
-    named = os.environ.get("ANYSTYLE_ENVIRONMENTS")
-    return Path(named) if named else Path.home() / ".cache" / "anystyle" / "environments"
+    return Path(os.environ.get("ANYSTYLE_ENVIRONMENTS") or Path.home() / ".cache" / "anystyle" / "environments")
 
 
 def last_line(text: str) -> str:
     """The last line that says something; what a program ends with when it fails."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else "it printed nothing"
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it printed nothing")

@@ -1,11 +1,6 @@
-"""A job: the JSON file that a method's process reads, and the images it writes."""
+"""A job: the JSON file that a method's process reads, and what it writes."""
 
-from pathlib import Path
-
-import msgspec
-from msgspec import Struct
-
-from anystyle.io.documents import read_json
+from msgspec import Struct, field
 
 SECONDS = "seconds.json"
 
@@ -30,8 +25,7 @@ class Job(Struct, frozen=True):
         styles: In which the scene is wanted.
         seed: For whatever is random.
         out: Folder for ``STYLE/VIEW.png``, 8-bit RGB, and :class:`Seconds` as ``seconds.json``.
-        pages: Names of styles in which the scene is also wanted as a page to walk through, ``STYLE.html``; a program
-            without a scene leaves them out.
+        pages: Styles in which the scene is also wanted as a page to walk through, ``STYLE.html``, if there is a scene.
     """
 
     track: str
@@ -53,9 +47,4 @@ class Seconds(Struct, frozen=True):
     """
 
     scene: float | None = 0.0
-    styles: dict[str, float] = msgspec.field(default_factory=dict)
-
-
-def read_job(path: str | Path) -> Job:
-    """The job of a file."""
-    return read_json(path, Job, what="job of a benchmark")
+    styles: dict[str, float] = field(default_factory=dict)

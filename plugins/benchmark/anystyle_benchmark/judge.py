@@ -24,9 +24,8 @@ from torch import Tensor
 from anystyle.contracts import Metric
 from anystyle.data.images import open_image
 from anystyle.errors import UserError, one_line, unknown
+from anystyle.evaluation import judge as loop
 from anystyle.evaluation.comparisons import Reader, read
-from anystyle.evaluation.judge import SceneFigures as Found
-from anystyle.evaluation.judge import judge_scene, mean
 from anystyle.evaluation.pairing import CAMERAS, StylizedImages
 from anystyle.evaluation.run import make_metrics
 from anystyle.io.atomic import atomic_path, write_json
@@ -48,7 +47,7 @@ from anystyle_benchmark.results import (
     read_lock,
     wrong_images,
 )
-from anystyle_benchmark.spec import Spec, as_document
+from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.statistics import arranged, interval, rounded
 from anystyle_benchmark.track import PROTOCOL, TRACKS, Inputs, SceneEntry, StyleEntry
 
@@ -69,13 +68,6 @@ class Judged(Struct, frozen=True):
     scene: dict[str, Figure]
 
 
-class Kept(Struct, frozen=True):
-    """The cache of a unit: hashes of complete images by style, and figures by metric."""
-
-    images: dict[str, str] = msgspec.field(default_factory=dict)
-    metrics: dict[str, Judged] = msgspec.field(default_factory=dict)
-
-
 class Unit(NamedTuple):
     """What is judged at once: a method's images of a scene in all styles of a guide."""
 
@@ -84,28 +76,17 @@ class Unit(NamedTuple):
     scene: str
     guide: str
 
-    def kept(self, root: Path) -> Path:
-        """The file of its :class:`Kept`."""
-        return root / ".judged" / self.method / str(self.seed) / self.scene / f"{self.guide}.json"
-
 
 class Judge:
-    """Judges the methods in a folder of results by a track's metrics.
-
-    Args:
-        inputs: The track.
-        root: The folder of results.
-        chosen: Some of the track's metrics; all if none is named.
-    """
+    """Judges the methods in a folder of results by a track's metrics, all or those that are ``chosen``."""
 
     def __init__(self, inputs: Inputs, root: Path, chosen: Sequence[str] = ()) -> None:
         self.inputs, self.root, track = inputs, root, inputs.track
         named = list(dict.fromkeys(name for guide in GUIDES for name in track.metrics.get(guide, ())))
-        for name in chosen:
-            if name not in named:
-                raise UserError(unknown(f"metric of track {track.name}", name, named))
-        images = [inputs.path(style.image) for style in track.styles if style.image is not None]
-        self.metrics = make([name for name in named if name in (chosen or named)], [read(path) for path in images])
+        if strange := [name for name in chosen if name not in named]:
+            raise UserError(unknown(f"metric of track {track.name}", strange[0], named))
+        images = [read(inputs.path(style.image)) for style in track.styles if style.image is not None]
+        self.metrics = make([name for name in named if name in (chosen or named)], images)
         self._reader, self._said = Reader(), set[str]()
 
     def __call__(self, specs: Sequence[Spec], lock: Lock, on_progress: OnProgress) -> Figures:
@@ -119,99 +100,83 @@ class Judge:
             for guide in GUIDES
             if guide in spec.guides and self._styles(guide)
         ]
-        done: dict[Unit, tuple[list[CellFigures], list[Judged]]] = {}
         scenes = [scene.name for scene in self.inputs.track.scenes]
+        rows: dict[Unit, list[CellFigures]] = {}
+        wholes: dict[Unit, dict[str, Figure]] = {}
         for unit in sorted(units, key=lambda unit: scenes.index(unit.scene)):  # features of its photographs are kept
-            on_progress(Progress.count("judge", len(done), len(units)))
-            done[unit] = self._judge(unit)
+            on_progress(Progress.count("judge", len(rows), len(units)))
+            rows[unit], wholes[unit] = self._judge(unit)
         on_progress(Progress.count("judge", len(units), len(units)))
-        together = {name for _, judged in done.values() for one in judged for name in _together(one)}
-        cells: list[CellFigures] = []
-        wholes: list[SceneFigures] = []
-        for unit in units:
-            rows, judged = done[unit]
-            for row in rows:
-                own = {name: value for one in judged for name, value in one.styles.get(row.style, {}).items()}
-                own = {name: value for name, value in own.items() if name not in together}
-                cells.append(msgspec.structs.replace(row, figures=own))
-            whole: dict[str, Figure] = {
-                name: value for one in judged for name, value in one.scene.items() if name in together
-            }
-            wholes += [SceneFigures(*unit, whole)] if whole else []
-        infos = {
-            figure: MetricInfo(
-                figure.replace("_", " "), better, _reference(metric), metric.stand_ins.get(figure, ""), name
-            )
-            for name, metric in self.metrics.items()
-            for figure, better in metric.better.items()
-        }
-        rows = [
-            row
-            for spec in specs
-            for guide in spec.guides
-            if (row := _row(spec.name, guide, infos, cells, wholes)).cells
+        together = {name for unit in units for name in _together(rows[unit], wholes[unit])}
+        cells = [
+            msgspec.structs.replace(row, figures={n: row.figures[n] for n in row.figures if n not in together})
+            for unit in units
+            for row in rows[unit]
         ]
-        return Figures(lock, infos, {spec.name: as_document(spec) for spec in specs}, cells, wholes, rows)
-
-    @property
-    def headline(self) -> list[str]:
-        """The first figure of each metric."""
-        return [next(iter(metric.better)) for metric in self.metrics.values()]
+        of_scenes = [SceneFigures(*unit, {n: wholes[unit][n] for n in wholes[unit] if n in together}) for unit in units]
+        of_scenes = [one for one in of_scenes if one.figures]
+        infos: dict[str, MetricInfo] = {}
+        for name, metric in self.metrics.items():
+            reference = (sys.modules[type(metric).__module__].__doc__ or "").partition("\n")[0]
+            for figure, better in metric.better.items():
+                stand_in = metric.stand_ins.get(figure, "")
+                infos[figure] = MetricInfo(figure.replace("_", " "), better, reference, stand_in, name)
+        table = [_row(spec.name, guide, list(infos), cells, of_scenes) for spec in specs for guide in spec.guides]
+        methods = {spec.name: spec for spec in specs}
+        return Figures(lock, infos, methods, cells, of_scenes, [row for row in table if row.cells])
 
     def _styles(self, guide: str) -> list[StyleEntry]:
         return [style for style in self.inputs.track.styles if style.guide == guide]
 
-    def _judge(self, unit: Unit) -> tuple[list[CellFigures], list[Judged]]:
-        """The status of each cell of a unit, and its figures; a cell whose images cannot be judged has failed."""
-        scene, kept = self.inputs.scene(unit.scene), kept_json(unit.kept(self.root), Kept) or Kept()
-        size, rows, images = self.inputs.size(scene), [], {}
+    def _judge(self, unit: Unit) -> tuple[list[CellFigures], dict[str, Figure]]:
+        """The cells of a unit with their figures, and those of the scene; a cell of bad images has failed."""
+        scene, rows, images = self.inputs.scene(unit.scene), [], {}
+        size = self.inputs.size(scene)
         for style in self._styles(unit.guide):
             cell = Cell(unit.method, unit.seed, unit.scene, style.name)
-            record = kept_json(cell.record(self.root), Record)
-            status, message = ("missing", "") if record is None else (record.status, record.message)
-            if status == "done":
-                found = _hash(cell.images(self.root), scene)
-                whole = found == kept.images.get(style.name)  # and was before
-                if lines := [] if whole else wrong_images(cell.images(self.root), scene.views, size):
-                    status, message = "failed", lines[0]
-                else:
-                    images[style.name] = found
-            taken = (None, 0.0, None) if record is None else (record.seconds, record.scene_seconds, record.memory)
+            record = kept_json(cell.record(self.root), Record) or Record("missing")
+            status, message = record.status, record.message
+            if status == "done" and (lines := wrong_images(cell.images(self.root), scene.views, size)):
+                status, message = "failed", lines[0]
+            elif status == "done":
+                files = [cell.images(self.root) / f"{view}.png" for view in scene.views]
+                images[style.name] = _digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
+            taken = record.seconds, record.scene_seconds, record.memory
             rows.append(CellFigures(*cell, unit.guide, status, message, *taken))
-        return rows, self._figures(unit, images, kept) if images else []
+        judged = self._figures(unit, images) if images else []
+        for row in rows:
+            for one in judged:
+                row.figures.update(one.styles.get(row.style, {}))
+        return rows, {name: figure for one in judged for name, figure in one.scene.items()}
 
-    def _figures(self, unit: Unit, images: Mapping[str, str], kept: Kept) -> list[Judged]:
+    def _figures(self, unit: Unit, images: Mapping[str, str]) -> list[Judged]:
         """The figures of a unit's whole images, by every metric of its guide: those kept, and those that are new."""
-        names = self.inputs.track.metrics.get(unit.guide, ())
-        metrics = {name: self.metrics[name] for name in names if name in self.metrics}
+        file = self.root / ".judged" / unit.method / str(unit.seed) / unit.scene / f"{unit.guide}.json"
+        kept: dict[str, Judged] = kept_json(file, dict[str, Judged]) or {}
+        names = [name for name in self.inputs.track.metrics.get(unit.guide, ()) if name in self.metrics]
         keys = {
-            name: _digest([PROTOCOL, name, sorted(metric.weights.items()), sorted(images.items())])
-            for name, metric in metrics.items()
+            name: _digest([PROTOCOL, name, sorted(self.metrics[name].weights.items()), sorted(images.items())])
+            for name in names
         }
-        found = {name: kept.metrics[name] for name in metrics if name in kept.metrics}
-        found = {name: judged for name, judged in found.items() if judged.key == keys[name]}
-        missing = {name: metric for name, metric in metrics.items() if name not in found}
+        missing = [name for name in names if name not in kept or kept[name].key != keys[name]]
+        kept = {name: judged for name, judged in kept.items() if name not in missing}
         for name, new in self._new(missing, unit, list(images)).items():
             styles = {style: _rounded(figures) for style, figures in new.styles.items()}
-            found[name] = Judged(keys[name], styles, _rounded(new.figures))
+            kept[name] = Judged(keys[name], styles, _rounded(new.figures))
         if missing:
-            others = {name: judged for name, judged in kept.metrics.items() if name not in metrics}
-            write_json(unit.kept(self.root), msgspec.to_builtins(Kept(dict(images), others | found)))
-        return [found[name] for name in metrics if name in found]
+            write_json(file, msgspec.to_builtins(kept))
+        return [kept[name] for name in names if name in kept]
 
-    def _new(self, metrics: Mapping[str, Metric], unit: Unit, styles: Sequence[str]) -> dict[str, Found]:
-        """The metric loop; if a metric raises, each is computed alone and those that raise are left out."""
+    def _new(self, names: Sequence[str], unit: Unit, styles: Sequence[str]) -> dict[str, loop.SceneFigures]:
+        """The metric loop; if a metric raises, each is computed by itself and those that raise are left out."""
         torch.manual_seed(0)
         try:
-            return judge_scene(metrics, self._comparisons(unit, styles)) if metrics else {}
+            metrics = {name: self.metrics[name] for name in names}
+            return loop.judge_scene(metrics, self._comparisons(unit, styles)) if metrics else {}
         except (UserError, ValueError) as error:
-            if len(metrics) > 1:
-                return {
-                    name: found
-                    for one in metrics
-                    for name, found in self._new({one: metrics[one]}, unit, styles).items()
-                }
-            text = f"{next(iter(metrics))} has no figures in {unit.scene}: {one_line(error)}"
+            if len(names) > 1:
+                return {name: found for one in names for name, found in self._new([one], unit, styles).items()}
+            text = f"{names[0]} has no figures in {unit.scene}: {one_line(error)}"
             text += "" if self.inputs.scene(unit.scene).geometry else " (the track has no geometry of this scene)"
             if text not in self._said:
                 log.warning(text)
@@ -318,46 +283,28 @@ def wrong(inputs: Inputs, folder: Path) -> list[str]:
 
 
 def _row(
-    method: str,
-    guide: str,
-    infos: Mapping[str, MetricInfo],
-    cells: Sequence[CellFigures],
-    wholes: Sequence[SceneFigures],
+    method: str, guide: str, figures: Sequence[str], cells: Sequence[CellFigures], wholes: Sequence[SceneFigures]
 ) -> TableRow:
     rows = [row for row in (*cells, *wholes) if (row.method, row.guide) == (method, guide)]
     states = [row.status for row in rows if isinstance(row, CellFigures)]
-    values = {figure: arranged(figure, rows)[0] for figure in infos}
+    values = {figure: arranged(figure, rows)[0] for figure in figures}
     means = {figure: interval(value) for figure, value in values.items() if value.size}
     return TableRow(method, guide, len(states), len(states) - states.count("done"), means)
 
 
-def _together(judged: Judged) -> list[str]:
-    """The figures that are not the mean of the single styles' figures."""
-    names = []
-    for name, figure in judged.scene.items():
-        alone, whole = mean([as_number(row.get(name)) for row in judged.styles.values()]), as_number(figure)
-        if (
-            len(judged.styles) > 1
-            and not math.isnan(whole)
-            and not math.isclose(alone, whole, rel_tol=1e-4, abs_tol=1e-6)
-        ):
-            names.append(name)
-    return names
+def _together(rows: Sequence[CellFigures], scene: Mapping[str, Figure]) -> list[str]:
+    """The figures of a scene that are not the mean of the single styles' figures."""
+    done = [row.figures for row in rows if row.status == "done"]
+    alone = {name: loop.mean([as_number(figures.get(name)) for figures in done]) for name in scene}
+    return [
+        name
+        for name, whole in ((name, as_number(figure)) for name, figure in scene.items())
+        if len(done) > 1 and not math.isnan(whole) and not math.isclose(alone[name], whole, rel_tol=1e-4, abs_tol=1e-6)
+    ]
 
 
 def _rounded(figures: Mapping[str, float]) -> dict[str, Figure]:
     return {name: as_figure(rounded(value)) for name, value in figures.items()}
-
-
-def _reference(metric: Metric) -> str:
-    """The first line of what the metric's module says of itself."""
-    return (sys.modules[type(metric).__module__].__doc__ or "").partition("\n")[0]
-
-
-def _hash(folder: Path, scene: SceneEntry) -> str:
-    """Of the images of a cell that are there."""
-    files = [folder / f"{view}.png" for view in scene.views]
-    return _digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()])
 
 
 def _digest(value: object) -> str:

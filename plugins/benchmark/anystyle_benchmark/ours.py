@@ -1,4 +1,4 @@
-"""A method of ``anystyle stylize`` in a process of its own: ``python -m anystyle_benchmark.ours JOB WORD...``."""
+"""A method of ``anystyle stylize`` in a process of its own: ``python -m anystyle_benchmark.ours JOB ARGUMENT...``."""
 
 import sys
 import time
@@ -12,21 +12,22 @@ import anystyle
 from anystyle.cli.run import run
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
+from anystyle.io.documents import read_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.request import Request
 from anystyle.types import Cameras, SourceImage
-from anystyle_benchmark.job import SECONDS, AskedStyle, read_job
+from anystyle_benchmark.job import SECONDS, Job
 
 
-def main(job_file: str, words: Sequence[str]) -> None:
-    """Render a job's views in its styles; views are read at the job's size unless a word says otherwise."""
-    job = read_job(job_file)
+def main(job_file: str, args: Sequence[str]) -> None:
+    """Render a job's views in its styles; views are read at the job's size unless an argument says otherwise."""
+    job: Job = read_json(job_file, Job, what="job of a benchmark")
     given = [f"views.short_side={min(job.size)}", f"seed={job.seed}"]
     request = replace(
-        Request.from_args([*given, *(word.replace("{seed}", str(job.seed)) for word in words)]),
+        Request.from_args([*given, *(word.replace("{seed}", str(job.seed)) for word in args)]),
         inputs=tuple(job.photographs.values()),
-        styles=tuple(_style(style) for style in job.styles),
+        styles=tuple(str(style.text) if style.image is None else Path(style.image) for style in job.styles),
     )
     start = time.process_time()
     results = anystyle.stylize(request)
@@ -57,12 +58,9 @@ def judged_cameras(
         raise UserError(f"the camera of photograph {absent[0]} was not found")
     chosen = [names.index(view) for view in views]
     whole = [sources[index].source_intrinsics(cameras.intrinsics[0, index]) for index in chosen]
-    posed = replace(cameras.select(chosen), intrinsics=torch.stack(whole)[None], size=sources[chosen[0]].size)
-    return posed.resized(size)
-
-
-def _style(style: AskedStyle) -> str | Path:
-    return Path(style.image) if style.text is None and style.image is not None else str(style.text)
+    return replace(cameras.select(chosen), intrinsics=torch.stack(whole)[None], size=sources[chosen[0]].size).resized(
+        size
+    )
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ from PIL import Image
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import Figure, kept_json, read_json
+from anystyle.io.run_folder import changes
+from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import PROTOCOL, Inputs
 
 FIGURES = "figures.json"
@@ -36,11 +38,9 @@ class Lock(Struct, frozen=True):
 
 
 class Record(Struct, frozen=True):
-    """How a cell went.
+    """How a cell went: whether it has images, and one line on why not.
 
     Args:
-        status: Of a method that ran, failed, or took too long.
-        message: One line, where it did not run.
         seconds: CPU seconds of this style, without those per scene; ``None`` where unknown.
         scene_seconds: CPU seconds per scene, such as of fitting it; 0 where not reported, ``None`` where an earlier
             result was reused.
@@ -49,10 +49,10 @@ class Record(Struct, frozen=True):
         versions: Of what ran.
     """
 
-    status: Literal["done", "failed", "timeout"]
+    status: Literal["done", "failed", "timeout", "missing"]
     message: str = ""
     seconds: float | None = None
-    scene_seconds: float | None = 0
+    scene_seconds: float | None = 0.0
     memory: float | None = None
     machine: str = ""
     versions: dict[str, str] = msgspec.field(default_factory=dict)
@@ -80,10 +80,7 @@ class Cell(NamedTuple):
 
 
 class MetricInfo(Struct, frozen=True):
-    """What a column is: its title, whether ``higher`` or ``lower`` is better, its reference, a stand-in network.
-
-    ``metric`` is the plugin that computes it; the first figure of each is shown first.
-    """
+    """A column: ``better`` is ``higher`` or ``lower``, ``metric`` the plugin, whose first figure is shown first."""
 
     title: str
     better: str
@@ -103,7 +100,7 @@ class CellFigures(Struct, frozen=True):
     status: str
     message: str = ""
     seconds: float | None = None
-    scene_seconds: float | None = 0
+    scene_seconds: float | None = 0.0
     memory: float | None = None
     figures: dict[str, Figure] = msgspec.field(default_factory=dict)
 
@@ -111,6 +108,11 @@ class CellFigures(Struct, frozen=True):
     def place(self) -> tuple[str, ...]:
         """Scene and style."""
         return self.scene, self.style
+
+    @property
+    def cell(self) -> Cell:
+        """Whose figures these are."""
+        return Cell(self.method, self.seed, self.scene, self.style)
 
 
 class SceneFigures(Struct, frozen=True):
@@ -129,7 +131,7 @@ class SceneFigures(Struct, frozen=True):
 
 
 class Interval(Struct, frozen=True):
-    """A mean with its 95 % interval over new scenes and styles; ``n`` cells or scenes."""
+    """A mean over ``n`` cells or scenes with its 95 % interval for new scenes and styles."""
 
     mean: Figure
     low: Figure
@@ -148,23 +150,27 @@ class TableRow(Struct, frozen=True):
 
 
 class Figures(Struct, frozen=True):
-    """All that ``judge`` found.
+    """All that ``judge`` found: figures of cells, of all styles of a scene together, and over scenes and styles.
 
-    Args:
-        track: The track's lock.
-        metrics: What the columns are, in order.
-        methods: The specs, by name, as in ``METHOD/method.json``.
-        cells: Every cell of every method.
-        scenes: Figures over the styles of a scene.
-        table: Figures over scenes and styles.
+    ``metrics`` are the columns in order, ``methods`` the specs as in ``METHOD/method.json``.
     """
 
     track: Lock
     metrics: dict[str, MetricInfo]
-    methods: dict[str, dict]
+    methods: dict[str, Spec]
     cells: list[CellFigures]
     scenes: list[SceneFigures]
     table: list[TableRow]
+
+    @property
+    def headline(self) -> list[str]:
+        """The first figure of each metric."""
+        firsts = {info.metric or name: name for name, info in reversed(self.metrics.items())}
+        return [name for name in self.metrics if name in firsts.values()]
+
+    def cells_of(self, method: str, guide: str) -> list[CellFigures]:
+        """The cells of a method by a guide."""
+        return [cell for cell in self.cells if (cell.method, cell.guide) == (method, guide)]
 
 
 def bind(inputs: Inputs, root: Path) -> Lock:
@@ -176,15 +182,13 @@ def bind(inputs: Inputs, root: Path) -> Lock:
         return lock
     kept = read_lock(root)
     if kept.digest != lock.digest:
-        names = [f"{one.name} version {one.version}" for one in (kept, lock)]
-        if names[0] != names[1]:
-            other = f"and not of {names[1]}"
-        elif kept.protocol != lock.protocol:
-            other = f"judge {kept.protocol}, and this is judge {lock.protocol}"
-        else:
-            changed = sorted(name for name, _ in kept.hashes.items() ^ lock.hashes.items())
-            other = f"and {changed[0] if changed else inputs.file} has changed since; it needs another version"
-        raise UserError(f"{root} holds results of track {names[0]}, {other}; use another folder")
+        before, now = (
+            {"track": f"{one.name} version {one.version}", "judge": one.protocol}
+            | {name: value[:8] for name, value in one.hashes.items()}
+            for one in (kept, lock)
+        )
+        changed = changes(before, now) or f"{inputs.file} was edited"
+        raise UserError(f"{root} holds results of another track ({changed}); use another folder, or raise `version`")
     return lock
 
 
@@ -217,22 +221,18 @@ def is_done(cell: Cell, root: Path) -> bool:
 
 def wrong_images(folder: Path, views: Sequence[str], size: tuple[int, int]) -> list[str]:
     """What is wrong with the images ``VIEW.png`` of a cell, a line each; nothing if they can be judged."""
-    lines: list[str] = []
-    for view in views:
-        path = folder / f"{view}.png"
-        name = f"{folder.name}/{path.name}"
-        if not path.is_file():
-            lines.append(f"there is no {name}")
-            continue
-        try:
-            with Image.open(path) as image:
-                image.load()
-                mode, (width, height) = image.mode, image.size
-        except (OSError, ValueError, Image.DecompressionBombError) as error:
-            lines.append(f"{name} is no readable image ({one_line(error)})")
-            continue
-        if (height, width) != size:
-            lines.append(f"{name} is {width}x{height}; {size[1]}x{size[0]} is expected")
-        elif mode != "RGB":
-            lines.append(f"{name} has mode {mode}; 8-bit RGB is expected")
-    return lines
+    return [line for view in views if (line := _wrong(folder / f"{view}.png", f"{size[1]}x{size[0]}"))]
+
+
+def _wrong(path: Path, size: str) -> str:
+    name = f"{path.parent.name}/{path.name}"
+    if not path.is_file():
+        return f"there is no {name}"
+    try:
+        with Image.open(path) as image:
+            image.load()
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        return f"{name} is not a readable image ({one_line(error)})"
+    if (found := f"{image.width}x{image.height}") != size:
+        return f"{name} is {found}; {size} is expected"
+    return "" if image.mode == "RGB" else f"{name} has mode {image.mode}; 8-bit RGB is expected"

@@ -25,11 +25,9 @@ from anystyle_benchmark.results import Cell, Record, is_done, wrong_images
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
-PACKAGE = Path(__file__).parent
-SCRATCH, LOG = ".job", "log.txt"
+LOG = "log.txt"
 FIRST_POLL, LAST_POLL = 0.01, 0.2
 """Seconds between looks at a process: short at first, as one that soon ends has its peak of memory soon."""
-LOG_BYTES = 1 << 16
 
 
 class Ended(NamedTuple):
@@ -54,34 +52,25 @@ def run_scene(
 ) -> list[Cell]:
     """Have a method render a scene in those styles that are missing, and record each cell; all cells of the scene.
 
-    Args:
-        inputs: The track.
-        spec: The method.
-        home: The folder of its spec.
-        scene: To render.
-        styles: Those with a guide that the method cannot follow are left out.
-        seed: Of the run.
-        root: The folder of results.
-        say: Takes a line of progress.
-        pages: Styles in which the scene is wanted as a page, too.
+    Styles with a guide that the method cannot follow are left out. ``home`` is the folder of the spec, ``root`` that of
+    the results; ``say`` takes a line of progress; in the styles of ``pages`` the scene is wanted as a page, too.
     """
     cells = {
         style.name: Cell(spec.name, seed, scene.name, style.name) for style in styles if style.guide in spec.guides
     }
-    size = inputs.size(scene)
-    folder = root / spec.name / str(seed) / scene.name
+    size, folder, title = inputs.size(scene), root / spec.name / str(seed) / scene.name, f"{spec.name}, {scene.name}"
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with FileLock(folder / ".lock", timeout=0):
-            scratch = folder / SCRATCH
+            scratch = folder / ".job"
             _collect(scratch / "out", cells, scene.views, size, root, Ended())  # of an interrupted run
             missing = [style for style in styles if style.name in cells and not is_done(cells[style.name], root)]
             if not missing:
                 return list(cells.values())
-            say(f"{spec.name}, {scene.name}, seed {seed}: {len(missing)} style{'s' * (len(missing) > 1)} …")
+            say(f"{title}, seed {seed}: {len(missing)} style{'s' * (len(missing) > 1)} …")
             shutil.rmtree(scratch, ignore_errors=True)
             (scratch / "out").mkdir(parents=True)
-            ended = _ask(inputs, spec, home, scene, missing, seed, size, scratch, pages)
+            ended = ask(make_job(inputs, scene, missing, seed, scratch.resolve() / "out", pages), spec, home)
             wanted = {style.name: cells[style.name] for style in missing}
             found = _collect(scratch / "out", wanted, scene.views, size, root, ended)
             failures = {
@@ -96,80 +85,61 @@ def run_scene(
                 (scratch / LOG).replace(folder / LOG)
                 failed += f" (output in {folder / LOG})"
             shutil.rmtree(scratch)
-            say(f"{spec.name}, {scene.name}, seed {seed}: {len(found)} done in {ended.seconds:.0f} CPU s{failed}")
+            say(f"{title}, seed {seed}: {len(found)} done in {ended.seconds:.0f} CPU s{failed}")
     except Timeout:
-        say(f"{spec.name}, {scene.name}, seed {seed}: another process is running it")
+        say(f"{title}, seed {seed}: another process is running it")
     return list(cells.values())
 
 
-def _ask(
-    inputs: Inputs,
-    spec: Spec,
-    home: Path,
-    scene: SceneEntry,
-    styles: Sequence[StyleEntry],
-    seed: int,
-    size: tuple[int, int],
-    scratch: Path,
-    pages: Sequence[str],
-) -> Ended:
-    out = scratch / "out"
+def make_job(
+    inputs: Inputs, scene: SceneEntry, styles: Sequence[StyleEntry], seed: int, out: Path, pages: Sequence[str]
+) -> Job:
+    """What a method is asked."""
+    photographs = {stem: str(path.resolve()) for stem, path in inputs.photographs(scene).items()}
+    images = {style.name: style.image and str(inputs.path(style.image).resolve()) for style in styles}
+    asked = tuple(AskedStyle(style.name, images[style.name], style.text) for style in styles)
+    size = inputs.size(scene)
+    return Job(inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out), tuple(pages))
+
+
+def ask(job: Job, spec: Spec, home: Path) -> Ended:
+    """Have a method do a job, in the folder of the job's results."""
+    out, scratch = Path(job.out), Path(job.out).parent
     if spec.folder is not None:
-        for style in styles:
-            images = home / spec.folder / scene.name / style.name
+        for style in job.styles:
+            images = home / spec.folder / job.scene / style.name
             if images.is_dir():
                 shutil.copytree(images, out / style.name)
         return Ended()
-    photographs = {stem: str(path.resolve()) for stem, path in inputs.photographs(scene).items()}
-    asked = tuple(
-        AskedStyle(style.name, None if style.image is None else str(inputs.path(style.image).resolve()), style.text)
-        for style in styles
-    )
-    job = Job(
-        inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out.resolve()), tuple(pages)
-    )
-    job_file = scratch.resolve() / "job.json"
-    write_json(job_file, msgspec.to_builtins(job))
+    write_json(scratch / "job.json", msgspec.to_builtins(job))
     try:
         python = interpreter(spec.requirements)
     except UserError as error:
         return Ended(one_line(error))
-    if spec.preset is not None:
-        return process([str(python), "-m", "anystyle_benchmark.ours", str(job_file), *spec.preset], scratch, spec.hours)
-    places = {"{python}": str(python), "{here}": str(home.resolve()), "{job}": str(job_file)}
-    words = list(spec.command or ())
+    args = spec.command or ("{python}", "-m", "anystyle_benchmark.ours", "{job}", *(spec.preset or ()))
+    places = {"{python}": str(python), "{here}": str(home.resolve()), "{job}": str(scratch / "job.json")}
     for place, value in places.items():
-        words = [word.replace(place, value) for word in words]
-    return process(words, scratch, spec.hours, ours=not spec.requirements)
+        args = [word.replace(place, value) for word in args]
+    return process(args, scratch, spec.hours, ours=not spec.requirements)
 
 
-def process(words: Sequence[str], folder: Path, hours: float, *, ours: bool = True) -> Ended:
-    """Run a program in a folder until it ends or its time is over, its output in a file.
+def process(args: Sequence[str], folder: Path, hours: float, *, ours: bool = True) -> Ended:
+    """Run a program in a folder, its output in a file there, for at most some hours; then all that it started ends.
 
-    Args:
-        words: The program and its arguments.
-        folder: Working directory, with the log.
-        hours: After which it is stopped with all that it started.
-        ours: Whether it may import this package; another environment sees nothing of it.
+    Only ``ours`` may import this package: another environment sees nothing of it.
     """
-    variables = {name: value for name, value in os.environ.items() if ours or name != "PYTHONPATH"}
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     if ours:
-        variables["PYTHONPATH"] = os.pathsep.join([str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
+        package = str(Path(__file__).parents[1])
+        variables["PYTHONPATH"] = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
     deadline, peak, timed_out, before = time.monotonic() + 3600 * hours, 0.0, False, _children()
     pause = FIRST_POLL
     with (folder / LOG).open("wb") as log:
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": log}
         try:
-            started = subprocess.Popen(
-                words,
-                cwd=folder,
-                env=variables,
-                stdout=log,
-                stderr=log,
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
-            )
+            started = subprocess.Popen(args, cwd=folder, env=variables, start_new_session=True, **pipes)
         except OSError as error:
-            return Ended(f"{words[0]} cannot be started ({error.strerror})")
+            return Ended(f"{args[0]} cannot be started ({error.strerror})")
         try:
             while started.poll() is None:
                 peak = max(peak, _memory(started.pid))
@@ -181,21 +151,18 @@ def process(words: Sequence[str], folder: Path, hours: float, *, ours: bool = Tr
             if started.poll() is None:
                 kill(started)
             started.wait()
-    seconds = _children() - before
-    if timed_out:
-        return Ended(f"was stopped after {hours:g} hours", True, seconds, peak)
-    text = (folder / LOG).read_bytes()[-LOG_BYTES:].decode(errors="replace")
-    if started.returncode < 0:
-        return Ended(f"was ended by {signal.Signals(-started.returncode).name}", False, seconds, peak)
-    return Ended(one_line(last_line(text)) if started.returncode else "", False, seconds, peak)
+    failure = f"was stopped after {hours:g} hours"
+    if not timed_out:
+        failure = one_line(last_line((folder / LOG).read_bytes()[-(1 << 16) :].decode(errors="replace")))
+        if started.returncode < 0:
+            failure = f"was ended by {signal.Signals(-started.returncode).name}"
+    return Ended(failure if timed_out or started.returncode else "", timed_out, _children() - before, peak)
 
 
 def _collect(
     out: Path, cells: dict[str, Cell], views: Sequence[str], size: tuple[int, int], root: Path, ended: Ended
 ) -> set[str]:
     """Move the styles whose images are whole to their places, each with its record; the names of these."""
-    if not out.is_dir():
-        return set()
     found = [name for name in cells if not wrong_images(out / name, views, size)]
     said = kept_json(out / SECONDS, Seconds)
     for name in found:
@@ -203,11 +170,11 @@ def _collect(
         seconds = share if said is None else said.styles.get(name, share)
         once = 0.0 if said is None else said.scene
         ran = ("", {}) if ended.memory is None else (_machine(), {"python": platform.python_version()})
-        record = Record("done", "", seconds, once, ended.memory, *ran)
         shutil.rmtree(images, ignore_errors=True)
         (out / name).replace(images)
         if (page := out / f"{name}.html").is_file():
             page.replace(cells[name].page(root))
+        record = Record("done", "", seconds, once, ended.memory, *ran)
         write_json(cells[name].record(root), msgspec.to_builtins(record))
     return set(found)
 

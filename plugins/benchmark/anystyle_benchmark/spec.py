@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta, Struct
 
 from anystyle.errors import UserError, unknown
@@ -12,31 +11,25 @@ from anystyle.ranges import Positive
 from anystyle_benchmark.track import Name
 
 METHODS = Path(__file__).parent / "methods"
-PROGRAM = ("preset", "command", "requirements", "folder")
-"""The keys of a spec on which images depend."""
 
 
 class Spec(Struct, frozen=True, forbid_unknown_fields=True):
     """A method: exactly one of ``preset``, ``command``, ``folder`` and ``not_run`` says how its images come to be.
 
     Args:
-        name: Of the method.
-        title: For tables.
-        about: A sentence or two.
         paper: Address of what describes it.
         code: Address of its program, with the commit.
-        licence: Of its program.
-        guides: What it can follow: images, texts or both.
-        consistent: Whether one 3D scene is rendered; 2D methods paint each view alone.
+        guides: What it can follow.
+        consistent: Whether one 3D scene is rendered; 2D methods paint each view by itself.
         baseline: Whether it is there to test the metrics, and not as a method.
         seeds: How many seeds differ; 1 for what has no randomness.
-        preset: Words for ``anystyle stylize``, such as ``method=brush``; ``{seed}`` is the seed.
+        preset: Arguments of ``anystyle stylize``, such as ``method=brush``; ``{seed}`` is the seed.
         command: A program with its arguments, in an environment of its own: ``{python}`` is that environment's
             interpreter, ``{here}`` the folder of the spec, ``{job}`` the file that says what is asked.
         requirements: Pinned packages of that environment.
         folder: Images that somebody made, ``SCENE/STYLE/VIEW.png``.
         not_run: Why nobody has run it here yet, and what it needs.
-        hours: After how long a scene's process is stopped.
+        hours: Time after which a scene's process is stopped.
     """
 
     name: Name
@@ -63,10 +56,10 @@ def read_spec(method: str) -> tuple[Spec, Path]:
     if not path.is_file() and path.parent == METHODS:
         raise UserError(unknown("method", method, names()))
     spec: Spec = read_toml(path, Spec, what="spec of a method")
-    ways = {"preset": spec.preset, "command": spec.command, "folder": spec.folder, "not_run": spec.not_run}
-    if len(given := [name for name, value in ways.items() if value is not None]) != 1:
+    ways = ("preset", "command", "folder", "not_run")
+    if len(given := [name for name in ways if getattr(spec, name) is not None]) != 1:
         raise UserError(f"{path} gives {' and '.join(given) or 'nothing'}; a spec has one of {', '.join(ways)}")
-    if spec.requirements and any("==" not in line and "@" not in line for line in spec.requirements):
+    if any("==" not in line and "@" not in line for line in spec.requirements):
         raise UserError(f"{path}: requirements are pinned, such as numpy==2.1.0")
     if spec.folder is not None and not (path.parent / spec.folder).is_dir():
         raise UserError(f"{path}: there is no folder {path.parent / spec.folder}")
@@ -76,8 +69,3 @@ def read_spec(method: str) -> tuple[Spec, Path]:
 def names() -> list[str]:
     """The bundled methods."""
     return sorted(path.stem for path in METHODS.glob("*.toml"))
-
-
-def as_document(spec: Spec) -> dict:
-    """The spec as JSON can hold it."""
-    return msgspec.to_builtins(spec)

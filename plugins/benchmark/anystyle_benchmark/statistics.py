@@ -1,17 +1,16 @@
 """Means over scenes and styles, with intervals for new scenes and styles, and differences of two methods.
 
-Scenes and styles are crossed random factors: a few of each were chosen, and a claim is about others. The error of a
-mean comes from the pigeonhole bootstrap (Owen, Annals of Applied Statistics 2007), which draws scenes and styles anew,
-each on its own, and keeps every cell whose scene and style were drawn as often as both were. An interval is Student's
-on Satterthwaite's degrees of freedom: percentiles never leave what the few scenes at hand have, and cover too little.
-
-Differences of two methods in the same cells are tested by the closed form of the same model
-(:class:`anystyle_study.statistics.Crossing`): it needs no seed, and the bootstrap counts what scene and style share
-alone up to three times, which costs power.
+Scenes and styles are crossed random factors. The error of a mean comes from the pigeonhole bootstrap (Owen, Annals of
+Applied Statistics 2007), which draws scenes and styles anew, each on its own. Intervals are Student's on
+Satterthwaite's degrees of freedom: percentiles never leave what the few scenes at hand have, and cover too little.
+Differences are tested by the closed form of the same model (:class:`anystyle_study.statistics.Crossing`), which needs
+no seed; the bootstrap counts what only one scene and style share up to three times, which costs power.
 """
 
 import math
 from collections.abc import Sequence
+from itertools import product
+from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +22,7 @@ from anystyle_benchmark.results import CellFigures, Interval, SceneFigures
 from anystyle_study.statistics import CrossedMean, Crossing, t_interval, t_pvalue
 
 DRAWS, CONFIDENCE = 2000, 0.95
-EPSILON = 1e-7
-"""Relative precision of a figure, of 32 bits."""
+EPSILON = 1e-7  # relative precision of a figure, of 32 bits
 Values = Float[np.ndarray, "S *T"]
 """A figure by scene, and by style if it has one for each; ``nan`` where there is none."""
 
@@ -47,11 +45,9 @@ def arranged(figure: str, *groups: Sequence[CellFigures | SceneFigures]) -> list
             if figure in row.figures:
                 places.setdefault(row.place, []).append(as_number(row.figures[figure]))
     axes = [sorted(set(levels)) for levels in zip(*{place for places in found for place in places}, strict=True)]
-    tables = [np.full([len(axis) for axis in axes] or [0], np.nan) for _ in groups]
-    for table, places in zip(tables, found, strict=True):
-        for place, values in places.items():
-            table[tuple(axis.index(level) for axis, level in zip(axes, place, strict=True))] = mean(values)
-    return tables
+    shape = [len(axis) for axis in axes] or [0]
+    means = ([mean(places.get(place, [])) for place in product(*axes)] if axes else [] for places in found)
+    return [np.reshape(values, shape) for values in means]
 
 
 def pigeonhole(values: Values, *, draws: int = DRAWS, seed: int = 0) -> Float[np.ndarray, " draws"]:
@@ -73,28 +69,27 @@ def pigeonhole(values: Values, *, draws: int = DRAWS, seed: int = 0) -> Float[np
 
 def interval(values: Values) -> Interval:
     """The mean over all known cells; no bounds where a factor has one level, or a value is infinite."""
-    mean, crossed = _crossed(values)
+    mean, crossed, count = _crossed(values)
     low = high = math.nan
     if crossed is not None and crossed.error > 0:
         low, high = t_interval(mean, float(np.nanstd(pigeonhole(values))), float(crossed.df), CONFIDENCE)
     elif crossed is not None:
         low = high = mean  # nothing varies
-    return Interval(as_figure(rounded(mean)), as_figure(rounded(low)), as_figure(rounded(high)), _count(values))
+    mean, low, high = (as_figure(rounded(value)) for value in (mean, low, high))
+    return Interval(mean, low, high, count)
 
 
 def difference(first: Values, second: Values) -> Difference:
     """The mean of ``first - second`` over the cells that both have."""
     with np.errstate(invalid="ignore"):
-        gaps = first - second  # inf - inf is nan: two perfect figures say nothing of how far they are apart
-    mean, crossed = _crossed(gaps)
+        # inf - inf is nan: two perfect figures say nothing of how far they are apart
+        mean, crossed, count = _crossed(first - second)
     if crossed is None:
-        return Difference(mean, math.nan, math.nan, math.nan, _count(gaps))
+        return Difference(mean, math.nan, math.nan, math.nan, count)
     if crossed.error <= EPSILON * abs(mean):  # the same difference everywhere: no error is known, and there is no test
-        return Difference(mean, mean, mean, math.nan, _count(gaps))
-    low, high = crossed.interval(CONFIDENCE)
-    return Difference(
-        mean, low, high, t_pvalue(mean / float(crossed.error), float(crossed.df), "two-sided"), _count(gaps)
-    )
+        return Difference(mean, mean, mean, math.nan, count)
+    pvalue = t_pvalue(mean / float(crossed.error), float(crossed.df), "two-sided")
+    return Difference(mean, *crossed.interval(CONFIDENCE), pvalue, count)
 
 
 def rounded(value: float) -> float:
@@ -102,16 +97,25 @@ def rounded(value: float) -> float:
     return float(f"{value:.7g}")
 
 
-def _count(values: Values) -> int:
-    return int((~np.isnan(values)).sum())
-
-
-def _crossed(values: Values) -> tuple[float, CrossedMean | None]:
-    """The mean, and the model of it where every factor has two levels and all that is known is finite."""
+def _crossed(values: Values) -> tuple[float, CrossedMean | None, int]:
+    """The mean, its model where every factor has two levels and all that is known is finite, and how many are known."""
     places = np.nonzero(~np.isnan(values))
     known = values[places]
     mean = float(known.mean()) if len(known) else math.nan
     levels = [np.unique(place, return_inverse=True)[1] for place in places]
     if not np.isfinite(known).all() or min((int(level.max()) for level in levels if len(level)), default=0) < 1:
-        return mean, None
-    return mean, Crossing(factors=dict(zip(("scenes", "styles"), levels, strict=False))).mean(known)
+        return mean, None, len(known)
+    return mean, Crossing(factors=dict(zip(("scenes", "styles"), levels, strict=False))).mean(known), len(known)
+
+
+def cost(cells: Sequence[CellFigures]) -> float | None:
+    """Mean CPU seconds of a further style."""
+    seconds = [cell.seconds for cell in cells if cell.seconds is not None]
+    return fmean(seconds) if seconds else None
+
+
+def scene_cost(cells: Sequence[CellFigures]) -> float | None:
+    """Mean CPU seconds of what is done once per scene; ``None`` where that is not known of any."""
+    timed = [cell for cell in cells if cell.seconds is not None]
+    scenes = {(cell.seed, cell.scene): cell.scene_seconds for cell in timed if cell.scene_seconds is not None}
+    return fmean(scenes.values()) if scenes else None

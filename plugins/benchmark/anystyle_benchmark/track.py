@@ -29,13 +29,11 @@ class SceneEntry(Struct, frozen=True, forbid_unknown_fields=True):
     """A capture.
 
     Args:
-        name: Of the scene.
         photographs: Folder of all photographs, as :meth:`Inputs.path` reads it.
         views: Stems of the photographs at whose cameras results are rendered, in the order of the capture.
         geometry: Folder with ``VIEW.npy`` (depth along z) and ``cameras.npz`` of these views, if there is one.
         title: What it shows.
         licence: Under which the photographs may be passed on.
-        source: Where they come from.
     """
 
     name: Name
@@ -63,16 +61,12 @@ class StyleEntry(Struct, frozen=True, forbid_unknown_fields=True):
         return "text" if self.image is None else "image"
 
 
-class Track(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
+class Track(Struct, frozen=True, forbid_unknown_fields=True):
     """What every method of a benchmark is given, and how it is judged.
 
     Args:
-        name: Of the track.
         version: Raised with every change of an input or a metric; figures of different versions are never compared.
-        about: A sentence.
         short_side: Of the rendered views, in pixels; the other side follows the photograph, rounded.
-        scenes: The captures.
-        styles: Images and texts.
         metrics: Names of metrics for each guide, ``image`` and ``text``.
         sha256: Of every input, by its path as the track writes it; without it only the hashes of the user's own copies
             are recorded, with the results.
@@ -151,20 +145,15 @@ class Inputs:
                 folder = self.path(scene.geometry)
                 if not folder.is_dir():
                     raise UserError(f"there is no {folder}; `anystyle benchmark geometry {self.file}` makes it")
-                for file in sorted(folder.iterdir()):
-                    yield f"{scene.geometry}/{file.name}", file
-        for style in self.track.styles:
-            if style.image is not None:
-                yield style.image, self.path(style.image)
+                yield from ((f"{scene.geometry}/{file.name}", file) for file in sorted(folder.iterdir()))
+        yield from ((style.image, self.path(style.image)) for style in self.track.styles if style.image is not None)
 
     def computed_hashes(self) -> dict[str, str]:
         """SHA-256 of every input as it is now; a UserError if one is missing."""
-        found: dict[str, str] = {}
-        for name, file in self.files():
-            if not file.is_file():
-                raise UserError(f"the track {self.track.name} lacks {file}")
-            found[name] = hashlib.sha256(file.read_bytes()).hexdigest()
-        return found
+        found = dict(self.files())
+        if absent := [file for file in found.values() if not file.is_file()]:
+            raise UserError(f"the track {self.track.name} lacks {absent[0]}")
+        return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in found.items()}
 
     @cached_property
     def hashes(self) -> dict[str, str]:

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from anystyle.errors import UserError
-from anystyle_benchmark.command_compare import main
-from anystyle_benchmark.compare import compare, sentences
+from anystyle_benchmark.command_compare import compare, main, sentences
 from anystyle_benchmark.results import Figures
 from anystyle_study.protocol import read_study
 from anystyle_study.statistics import Crossing, holm, t_pvalue
@@ -22,23 +21,12 @@ def figures(world):
 def test_differences_are_paired_by_cell_and_adjusted_over_figures(figures):
     found = compare(figures, ["unstyled", "noise"])
     by_name = {(one.guide, one.figure): one for one in found}
-    values = {
-        (cell.method, cell.scene, cell.style, cell.seed): cell.figures["color_match"]
-        for cell in figures.cells
-        if cell.guide == "image"
-    }
-    places = sorted({key[1:3] for key in values})
-    gaps = np.array(
-        [
-            values["unstyled", *place, 0] - np.mean([values["noise", *place, seed] for seed in (0, 1)])
-            for place in places
-        ]
-    )
-    factors = {
-        name: np.unique([place[axis] for place in places], return_inverse=True)[1]
-        for axis, name in enumerate(("scenes", "styles"))
-    }
-    crossed = Crossing(factors=factors).mean(gaps)
+    values = {cell.cell: cell.figures["color_match"] for cell in figures.cells if cell.guide == "image"}
+    places = sorted({(cell.scene, cell.style) for cell in values})
+    noise = np.mean([[values["noise", seed, *place] for place in places] for seed in (0, 1)], axis=0)
+    gaps = np.array([values["unstyled", 0, *place] for place in places]) - noise
+    scenes, styles = (np.unique(names, return_inverse=True)[1] for names in zip(*places, strict=True))
+    crossed = Crossing(factors={"scenes": scenes, "styles": styles}).mean(gaps)
     color = by_name["image", "color_match"]
     assert (color.n, color.difference) == (9, pytest.approx(gaps.mean(), rel=1e-6))
     assert color.pvalue == pytest.approx(t_pvalue(float(crossed.mean / crossed.error), float(crossed.df), "two-sided"))
@@ -100,11 +88,8 @@ def test_people_are_asked_and_their_answers_stand_beside_the_figures(world, tmp_
     assert {one["figure"] for one in document["figures"]} >= {"kid", "color_match"}
     # What was analysed already, and the other way round.
     main([str(results), "pasted", "noise", "--answers", str(out / "analysis"), "--out", str(tmp_path / "turned")])
-    (turned,) = [
-        one
-        for one in json.loads((tmp_path / "turned" / "compare.json").read_text())["people"]
-        if one["question"] == "overall"
-    ]
+    document = json.loads((tmp_path / "turned" / "compare.json").read_text())
+    (turned,) = [one for one in document["people"] if one["question"] == "overall"]
     assert (turned["preference"], turned["better"]) == (-overall["preference"], "pasted")
     assert (turned["low"], turned["high"]) == (-overall["high"], -overall["low"])
     with pytest.raises(UserError, match="of a study of noise against pasted, not of these"):

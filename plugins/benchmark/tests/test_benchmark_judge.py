@@ -12,8 +12,9 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.types import Comparison, Style
 from anystyle_benchmark import judge as judging
-from anystyle_benchmark.command_judge import cost, main, scene_cost
+from anystyle_benchmark.command_judge import main
 from anystyle_benchmark.results import Cell, CellFigures, Figures, Record
+from anystyle_benchmark.statistics import cost, scene_cost
 from anystyle_benchmark.track import Inputs
 from tests.support.benchmark_world import write_cell
 
@@ -45,9 +46,8 @@ def test_figures_are_of_cells_of_scenes_and_of_methods(world):
     pasted, unstyled, noisy = (means[name, "image"] for name in ("pasted", "unstyled", "noise"))
     assert pasted["color_match"].mean < unstyled["color_match"].mean
     assert unstyled["warp_rmse_short"].mean < 0.01 < pasted["warp_rmse_short"].mean < noisy["warp_rmse_short"].mean
-    assert {"clip_style", "warp_rmse_short"} <= means["noise", "text"].keys() and "color_match" not in means[
-        "noise", "text"
-    ]
+    by_text = means["noise", "text"].keys()
+    assert {"clip_style", "warp_rmse_short"} <= by_text and "color_match" not in by_text
     assert figures.metrics["clip_style"].stand_in == "tiny"  # no CLIP is installed here
     assert figures.metrics["kid"].stand_in and figures.metrics["kid"].better == "lower"
     assert "Bińkowski" in figures.metrics["kid"].reference
@@ -61,16 +61,14 @@ def test_a_cell_is_what_the_metric_says_of_its_images(world):
     def tensor(image):
         return torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255
 
-    lanczos = Image.Resampling.LANCZOS
-    content = torch.stack(
-        [tensor(Image.open(inputs.photographs(scene)[view]).resize((64, 48), lanczos)) for view in scene.views]
-    )
+    files, lanczos = inputs.photographs(scene), Image.Resampling.LANCZOS
+    content = torch.stack([tensor(Image.open(files[view]).resize((64, 48), lanczos)) for view in scene.views])
     folder = results / "noise" / "1" / scene.name / "image2"
     shown = torch.stack([tensor(Image.open(folder / f"{view}.png")) for view in scene.views])
     reference = Style(image=tensor(Image.open(inputs.path(style.image)))[None])
     comparison = Comparison(content=content[None], stylized=shown[None], style=reference)
     target = Cell("noise", 1, scene.name, "image2")
-    (cell,) = [cell for cell in read(results).cells if (cell.method, cell.seed, cell.scene, cell.style) == target]
+    (cell,) = [cell for cell in read(results).cells if cell.cell == target]
     (metric,) = judging.make(["color_match"], []).values()
     metric.update(comparison)
     assert cell.figures["color_match"] == pytest.approx(float(metric.compute()["color_match"]), rel=1e-5)
@@ -86,19 +84,16 @@ def test_two_runs_are_equal_to_the_last_byte_and_only_what_changed_is_judged(cop
         seen.append((rows[0].scenes[0], [row.styles[0] for row in rows], sorted(metrics)))
         return original(metrics, rows)
 
-    original = judging.judge_scene
-    monkeypatch.setattr(judging, "judge_scene", counted)
+    original = judging.loop.judge_scene
+    monkeypatch.setattr(judging.loop, "judge_scene", counted)
     main([str(results), "--track", str(track)])
     assert (results / "figures.json").read_bytes() == before
     # Of a scene without geometry, what could not be said is asked again.
     assert all(metrics == ["warp_consistency"] and scene == "scene2" for scene, _, metrics in seen)
     seen.clear()
     write_cell(Inputs(str(track)), results, Cell("palette", 0, "scene0", "image1"))
-    shutil.copytree(
-        results / "palette" / "0" / "scene0" / "image1",
-        results / "noise" / "0" / "scene0" / "image1",
-        dirs_exist_ok=True,
-    )
+    shutil.rmtree(results / "noise" / "0" / "scene0" / "image1")
+    (results / "palette" / "0" / "scene0" / "image1").rename(results / "noise" / "0" / "scene0" / "image1")
     shutil.rmtree(results / "palette")
     main([str(results), "--track", str(track), "--metrics", "color_match,kid"])
     assert seen == [("scene0", ["image0", "image1", "image2"], ["color_match", "kid"])]
@@ -113,7 +108,7 @@ def test_two_runs_are_equal_to_the_last_byte_and_only_what_changed_is_judged(cop
 
 def test_bad_images_are_failures_of_their_cells_alone(copy, capsys):
     track, results = copy
-    before = {(cell.method, cell.seed, cell.scene, cell.style): cell for cell in read(results).cells}
+    before = {cell.cell: cell for cell in read(results).cells}
     scene = results / "pasted" / "0" / "scene1"
     (scene / "image0" / "001.png").unlink()
     Image.new("RGB", (10, 10)).save(scene / "image1" / "002.png")
@@ -124,7 +119,7 @@ def test_bad_images_are_failures_of_their_cells_alone(copy, capsys):
     capsys.readouterr()
     main([str(results), "--track", str(track)])
     lines = capsys.readouterr()
-    cells = {(cell.method, cell.seed, cell.scene, cell.style): cell for cell in read(results).cells}
+    cells = {cell.cell: cell for cell in read(results).cells}
     bad = {key: (cell.status, cell.message) for key, cell in cells.items() if cell.status != "done"}
     assert bad.pop(("unstyled", 0, "scene0", "image2")) == ("missing", "")
     assert bad.pop(("unstyled", 0, "scene0", "image1")) == ("timeout", "was stopped after 2 hours")
@@ -133,7 +128,7 @@ def test_bad_images_are_failures_of_their_cells_alone(copy, capsys):
         ("scene1", "image1"): "image1/002.png is 10x10; 64x48 is expected",
         ("scene1", "text0"): bad["pasted", 0, "scene1", "text0"][1],
     }
-    assert "is no readable image" in bad["pasted", 0, "scene1", "text0"][1]
+    assert "is not a readable image" in bad["pasted", 0, "scene1", "text0"][1]
     assert "failed: pasted, 0, scene1, image1: image1/002.png is 10x10" in lines.err
     assert "7 of 9" in lines.out
     for key, cell in cells.items():
@@ -155,13 +150,13 @@ def test_somebodys_folder_is_checked_without_judging(world, tmp_path, capsys):
     main(words)  # a method that follows images alone
     capsys.readouterr()
     shutil.rmtree(folder / "scene1" / "image1")
-    (folder / "scene2" / "image0" / "003.png").write_bytes(b"\x89PNG")
+    (folder / "scene2" / "image0" / "002.png").write_bytes(b"\x89PNG")
     (folder / "attic" / "image0").mkdir(parents=True)
     with pytest.raises(UserError, match=r"3 things are wrong with .*images"):
         main(words)
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["attic: the track has no such scene", "scene1: there is no image1"]
-    assert lines[2].startswith("scene2: image0/003.png is no readable image")
+    assert lines[2].startswith("scene2: image0/002.png is not a readable image")
 
 
 @pytest.mark.parametrize(
@@ -172,7 +167,7 @@ def test_somebodys_folder_is_checked_without_judging(world, tmp_path, capsys):
         (["--check", "DIR/none", "--track", "TRACK"], "there is no folder"),
         (["DIR/none", "--track", "TRACK"], "holds no results of a method"),
         (["RESULTS", "--track", "TRACK", "--metrics", "kidd"], "Did you mean 'kid'"),
-        (["RESULTS", "--track", "OTHER"], "version 1, and not of small version 2; use another folder"),
+        (["RESULTS", "--track", "OTHER"], "track small version 1 -> small version 2"),
         (["RESULTS"], r"of track small, which is a file of yours; name it: --track FILE\.toml"),
     ],
 )

@@ -1,15 +1,15 @@
 """The bundled methods: their specs, and what their programs write."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from PIL import Image
 
-from anystyle_benchmark.environment import environments, interpreter
-from anystyle_benchmark.run import process
+from anystyle_benchmark.environment import environments
+from anystyle_benchmark.run import ask, make_job
 from anystyle_benchmark.spec import METHODS, names, read_spec
 from anystyle_benchmark.track import Inputs
 
@@ -17,39 +17,17 @@ SIZE = (40, 54)
 PAINTINGS = ("starry_night", "wave")
 
 
-def paint(
-    spec_name: str, folder: Path, python: str = sys.executable, named: tuple[str, ...] = PAINTINGS
-) -> dict[str, np.ndarray]:
+def paint(name: str, folder: Path, named: tuple[str, ...] = PAINTINGS) -> dict[str, np.ndarray]:
     """The images of two views of a real scene in two styles, by ``STYLE/VIEW``."""
-    spec, home = read_spec(spec_name)
-    inputs = Inputs("open")
+    (spec, home), inputs = read_spec(name), Inputs("open")
     scene = inputs.scene("bronze_axe")
-    views = scene.views[:2]
-    styles = [inputs.style(style) for style in named]
-    asked = [
-        {"name": style.name, "image": style.image and str(inputs.path(style.image)), "text": style.text}
-        for style in styles
-    ]
-    job = {
-        "track": "open",
-        "scene": scene.name,
-        "photographs": {stem: str(path) for stem, path in inputs.photographs(scene).items()},
-        "views": views,
-        "size": SIZE,
-        "styles": asked,
-        "seed": 3,
-        "out": str(folder / "out"),
-    }
-    (folder / "job.json").write_text(json.dumps(job))
-    places = {"{python}": python, "{here}": str(home), "{job}": str(folder / "job.json")}
-    words = [next((word.replace(k, v) for k, v in places.items() if k in word), word) for word in spec.command or ()]
-    ended = process(words, folder, 0.1, ours=not spec.requirements)
+    scene = replace(scene, views=scene.views[:2])
+    job = make_job(inputs, scene, [inputs.style(style) for style in named], 3, folder / "out", ())
+    ended = ask(replace(job, size=SIZE), spec, home)
     assert not ended.failure, ended.failure
-    made = {f"{style.name}/{view}": folder / "out" / style.name / f"{view}.png" for style in styles for view in views}
-    images = {name: np.asarray(Image.open(path)) for name, path in made.items()}
-    assert {image.shape for image in images.values()} == {(*SIZE, 3)} and all(
-        i.dtype == np.uint8 for i in images.values()
-    )
+    made = [f"{style}/{view}" for style in named for view in scene.views]
+    images = {one: np.asarray(Image.open(folder / "out" / f"{one}.png")) for one in made}
+    assert {(image.shape, image.dtype) for image in images.values()} == {((*SIZE, 3), np.dtype(np.uint8))}
     return images
 
 
@@ -92,6 +70,6 @@ def test_a_foreign_package_runs_in_its_own_environment(name: str, tmp_path: Path
     ready = [path.read_text() for path in environments().glob("*/.ready")]
     if "\n".join(sorted(requirements)) not in ready:
         pytest.skip(f"no environment of {name} is here; anystyle benchmark run makes it")
-    images = list(paint(name, tmp_path, str(interpreter(requirements))).values())
+    images = list(paint(name, tmp_path).values())
     assert (images[0] != images[1]).any()
     assert (images[0] == images[2]).all() == (name == "pykuwahara")

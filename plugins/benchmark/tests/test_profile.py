@@ -5,13 +5,13 @@ import json
 import pytest
 
 from anystyle.errors import UserError
-from anystyle_benchmark.command_profile import Measured, profile, table, without_missing
+from anystyle_benchmark.command_profile import Measured, Profile, table, without_missing
 
 
 def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, capsys):
     out = tmp_path / "profile.json"
     method = ["method=nnfm", "method.num_steps=1"]
-    profile(["--views", "2,4", "--size", "56x56", "--repeat", "1", "--out", str(out), *method])
+    Profile()(["--views", "2,4", "--size", "56x56", "--repeat", "1", "--out", str(out), *method])
     printed = capsys.readouterr().out
     assert "| restyle |" in printed and "results equal" in printed
     assert "method=nnfm method.num_steps=1" in printed
@@ -36,10 +36,10 @@ def test_wrong_words_end_in_one_line():
         (["--repeat", "0"], "at least once"),
     ):
         with pytest.raises(UserError, match=message):
-            profile(words)
+            Profile()(words)
 
 
 def test_the_table_states_units():
     text = table([Measured("encode", 1.0, 2.0, "x")], {2: 2**20, 4: 3 * 2**20})
     assert "| encode | 1.000 | 2.000 | x |" in text
-    assert "1.0 MiB a view" in text
+    assert "1.0 MiB per view" in text

@@ -33,14 +33,10 @@ SHORT_SIDE = 384
 LAYERS = (Layer(14.6, 5.5, 20, 0.035, 3), Layer(7.1, 3, 11, 0.05, 2), Layer(3.5, 1.5, 6, torch.inf, 1))
 """Large strokes where little is to be seen, small ones everywhere, nearer to the viewer."""
 OPACITY = 0.92
-LIFT = 0.012
-"""Of the depth, by which a stroke lies in front of the surface."""
-PAINTING = 0.35
-"""Weight of the painting's own flow beside the scene's, which decides where a surface has no direction."""
-NEIGHBORS = 12
-"""Gaussians whose centres make a surface's normal."""
-MIN_PIXELS, MIN_OPACITY = 1.0, 0.2
-"""Of a Gaussian that a stroke may be painted at."""
+LIFT = 0.012  # share of the depth, by which a stroke lies in front of the surface
+PAINTING = 0.35  # weight of the painting's own flow beside the scene's, which decides where a surface has no direction
+NEIGHBORS = 12  # Gaussians whose centres make a surface's normal
+MIN_PIXELS, MIN_OPACITY = 1.0, 0.2  # of a Gaussian that a stroke may be painted at
 
 
 class Brush(Method):
@@ -89,10 +85,8 @@ class Brush(Method):
         picture = painted if style.image is None else style.image.to(painted)
         unit = self.size * embedding.scale * min(painted.shape[-2:]) / SHORT_SIDE
         generator = torch.Generator().manual_seed(self.seed)
-        own = structure_tensor(picture, 1.5, 5.0)
-        own = interpolate(
-            own.mean(0, keepdim=True) if style.image is None else own, painted.shape[-2:], mode="bilinear"
-        )
+        own = structure_tensor(picture, 1.5, 5.0).mean(0, keepdim=True)  # of one painting, or of all views
+        own = interpolate(own, painted.shape[-2:], mode="bilinear")
         spread = self.jitter * float(picture.mean(1).std())
         layers = [base]
         for depth, layer in enumerate(LAYERS, start=1):
@@ -120,29 +114,17 @@ def pixels_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> 
 
 @dataclass(frozen=True)
 class _Canvas:
-    """Where strokes can be painted: places on surfaces, each with the view that shows it largest.
-
-    Args:
-        points: In world space.
-        normals: Towards that view.
-        rays: Unit vectors from its camera.
-        views: That view.
-        pixels: Column and row there.
-        scales: World units a pixel: of the nearest view that shows the place, so that no stroke looks too large.
-        depths: In that view.
-        density: Points a unit of area.
-        cameras: Cameras of all views.
-    """
+    """Where strokes can be painted: places on surfaces, each with the view that shows it largest."""
 
     points: Float[Tensor, "N 3"]
-    normals: Float[Tensor, "N 3"]
-    rays: Float[Tensor, "N 3"]
-    views: Int[Tensor, " N"]
-    pixels: Int[Tensor, "N 2"]
-    scales: Float[Tensor, " N"]
+    normals: Float[Tensor, "N 3"]  # towards that view
+    rays: Float[Tensor, "N 3"]  # unit vectors from its camera
+    views: Int[Tensor, " N"]  # that view
+    pixels: Int[Tensor, "N 2"]  # column and row there
+    scales: Float[Tensor, " N"]  # world units per pixel of the nearest view: so no stroke looks too large
     depths: Float[Tensor, " N"]
-    density: Float[Tensor, " N"]
-    cameras: Cameras
+    density: Float[Tensor, " N"]  # points per unit of area
+    cameras: Cameras  # of all views
 
     @classmethod
     def of(cls, scene: Scene, gaussians: Gaussians, shown: Float[Tensor, "V N"]) -> "_Canvas":
@@ -167,9 +149,8 @@ class _Canvas:
         tree = KDTree(points.cpu().numpy())
         distances, index = tree.query(points.cpu().numpy(), k=min(NEIGHBORS + 1, len(points)))
         around = points[torch.from_numpy(index).to(points.device)]
-        normals = torch.linalg.eigh(torch.einsum("nki,nkj->nij", *2 * (around - around.mean(1, keepdim=True),)))[1][
-            ..., 0
-        ]
+        offsets = around - around.mean(1, keepdim=True)
+        normals = torch.linalg.eigh(torch.einsum("nki,nkj->nij", offsets, offsets))[1][..., 0]
         rays = normalize(points - cameras.world_from_camera[0, views, :3, 3], dim=1)
         towards = -(normals * rays).sum(1, keepdim=True)
         normals = normals * towards.sign()
@@ -218,12 +199,8 @@ class _Canvas:
             sizes = torch.stack([0.5 * lengths, 0.55 / layer.bristles * widths, 0.08 * widths], dim=1)
             shade = (color + 0.5 * spread * self._noise(chosen, generator)).clamp(0, 1)
             means = centers + across * aside[:, None] + along * ahead
-            opacities = torch.full_like(widths, OPACITY)
-            bristles.append(
-                Gaussians(
-                    *(field[None] for field in (means, rotation, sizes, opacities, constant_from_rgb(shade)[:, None]))
-                )
-            )
+            fields = means, rotation, sizes, torch.full_like(widths, OPACITY), constant_from_rgb(shade)[:, None]
+            bristles.append(Gaussians(*(field[None] for field in fields)))
         return Gaussians.cat(bristles, dim=1)
 
     def _noise(self, chosen: Int[Tensor, " M"], generator: torch.Generator) -> Float[Tensor, "M 1"]:

@@ -18,6 +18,17 @@ class Gram(StatisticsLoss):
     """Match the Gram matrices of features of the style image (Gatys et al. 2016, equations 3 to 5).
 
     ``sum_l mean_ij (G_ij - G_ij^style)^2`` with ``G = F F^T / (h w)``, averaged over views whose style has an image.
+
+    Example:
+        >>> import torch
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> from anystyle.types import Style
+        >>> result = stylization()
+        >>> renders = replace(result.renders, color=torch.full((1, 2, 3, 32, 32), 0.5))
+        >>> gray = Style(image=torch.full((1, 3, 48, 40), 0.25))
+        >>> Gram(network="texture", layers=("rgb",))(replace(result, renders=renders, style=gray))
+        tensor(0.0352)
     """
 
     def __init__(

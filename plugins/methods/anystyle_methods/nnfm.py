@@ -21,6 +21,16 @@ class NNFM(FeatureLoss):
     Args:
         layers: Layers of one resolution.
         weight: Weight in the objective; 1 in ARF, 5 in StylizedGS, 10 or 100 in G-Style.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> from anystyle.types import Style
+        >>> red, green = torch.eye(3)[:2, :, None, None].expand(2, 3, 16, 16)
+        >>> result = stylization()
+        >>> renders = replace(result.renders, color=red[None, None])
+        >>> NNFM(network="texture", layers=("rgb",))(replace(result, renders=renders, style=Style(image=green[None])))
+        tensor(1.)
     """
 
     def __init__(

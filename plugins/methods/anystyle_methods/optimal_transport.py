@@ -31,6 +31,17 @@ class OptimalTransport(NNFM):
         epsilon: Weight of the entropy, in units of ``1 - cos``.
         iterations: Iterations of Sinkhorn's algorithm.
         num_samples: Features of a view and of the style image that are drawn at random each time.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> from anystyle.types import Style
+        >>> red, green = torch.eye(3)[:2, :, None, None].expand(2, 3, 16, 16)
+        >>> result = stylization()
+        >>> renders = replace(result.renders, color=red[None, None])
+        >>> loss = OptimalTransport(network="texture", layers=("rgb",), num_samples=64)
+        >>> loss(replace(result, renders=renders, style=Style(image=green[None])))
+        tensor(1.0000)
     """
 
     def __init__(

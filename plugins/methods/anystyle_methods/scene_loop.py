@@ -19,8 +19,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization
 from anystyle.types.progress import OnProgress, Progress
 
-FLOOR = 1e-6
-"""Least variance, so that the square root of a covariance is invertible."""
+FLOOR = 1e-6  # least variance, so that the square root of a covariance is invertible
 
 
 class ColorMap(NamedTuple):
@@ -57,11 +56,8 @@ def _moments(images: Tensor) -> tuple[Float[Tensor, "3"], Float[Tensor, "3 3"]]:
 class SceneLoop:
     """An optimisation of one scene for one style, at the size of its image, by steps on one view each.
 
-    Args:
-        rates: Initial learning rates, by name of :data:`~anystyle.methods.gaussian_parameters.NAMES`.
-        decay: The final rates as a fraction of the initial ones.
-        seed: Seed of the order of views and of random crops.
-        keep_harmonics: Whether harmonics above degree 0 stay.
+    ``rates`` are the initial learning rates by name of :data:`~anystyle.methods.gaussian_parameters.NAMES`, of which
+    ``decay`` is left at the end. The seed is that of the order of views and of random crops.
     """
 
     def __init__(
@@ -126,12 +122,9 @@ class SceneLoop:
     def loss(self, view: int) -> Tensor:
         """The weighted sum of all losses on one view."""
         cameras, gaussians, views = self.scene.cameras.select([view]), self.splats.gaussians(), self.views[view]
-        geometry = replace(
-            self.scene.geometry,
-            cameras=cameras,
-            depth=self.scene.geometry.depth[:, [view]],
-            confidence=self.scene.geometry.confidence[:, [view]],
-        )
+        known = self.scene.geometry
+        maps = {"depth": known.depth[:, [view]], "confidence": known.confidence[:, [view]]}
+        geometry = replace(known, cameras=cameras, **maps)
         result = Stylization(
             views=replace(views, cameras=None),
             style=self.style,
@@ -162,8 +155,7 @@ class SceneLoop:
             return gaussians
         assert self.style.image is not None
         views = [self.stylizer.render(gaussians, self.scene.cameras.select([view])).color[0] for view in self.order]
-        mapped = color_map(torch.cat(views), self.style.image)
-        return with_mapped_colors(gaussians, mapped)
+        return with_mapped_colors(gaussians, color_map(torch.cat(views), self.style.image))
 
 
 def with_mapped_colors(gaussians: Gaussians, mapped: ColorMap) -> Gaussians:

@@ -26,6 +26,18 @@ class SimultaneousScales(FeatureLoss):
         scales: Number of sizes; fewer where the smallest would be under 16 pixels.
         gram_weight: ``g``; 1000 in SGSST, as in Gatys et al. 2017.
         moments_weight: ``m``; 10,000 in SGSST.
+
+    Example:
+        >>> import torch
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> from anystyle.types import Style
+        >>> result = stylization()
+        >>> renders = replace(result.renders, color=torch.full((1, 2, 3, 32, 32), 0.5))
+        >>> gray = Style(image=torch.full((1, 3, 48, 40), 0.25))
+        >>> loss = SimultaneousScales(network="texture", layers=("rgb",), scales=2, gram_weight=1, moments_weight=1)
+        >>> loss(replace(result, renders=renders, style=gray))
+        tensor(4.)
     """
 
     def __init__(

@@ -21,6 +21,17 @@ class SlicedWasserstein(StatisticsLoss):
         directions: Number of random directions, drawn once from ``seed``.
         levels: Number of quantiles.
         seed: Seed of the directions.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> from anystyle.types import Style
+        >>> result = stylization()
+        >>> renders = replace(result.renders, color=torch.full((1, 2, 3, 32, 32), 0.5))
+        >>> gray = Style(image=torch.full((1, 3, 48, 40), 0.25))
+        >>> loss = SlicedWasserstein(directions=10_000)
+        >>> round(float(loss(replace(result, renders=renders, style=gray))), 3)
+        0.062
     """
 
     def __init__(

@@ -17,6 +17,15 @@ class TotalVariation(Loss):
     Args:
         reduction: ``mean`` over pixels and channels, or their ``sum`` in each view, as in G-Style.
         weight: In the objective; 1 in ARF and StylizedGS, 10 in Stylos, 1e-4 of the sum in G-Style.
+
+    Example:
+        >>> import torch
+        >>> from dataclasses import replace
+        >>> from anystyle.testing.inputs import stylization
+        >>> result = stylization()
+        >>> stripes = torch.tensor([0.0, 0.5]).repeat(8).expand(1, 2, 3, 16, 16)
+        >>> TotalVariation()(replace(result, renders=replace(result.renders, color=stripes)))
+        tensor(0.2500)
     """
 
     def __init__(self, *, reduction: Literal["mean", "sum"] = "mean", weight: float = 1.0) -> None:

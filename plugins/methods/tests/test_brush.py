@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 import torch
@@ -15,7 +14,7 @@ from anystyle.methods.colors import colors_alone
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, Style, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from anystyle_methods.brush import LAYERS, Brush, pixels_shown
+from anystyle_methods.brush import Brush, pixels_shown
 from anystyle_methods.flow import flow, structure_tensor
 
 SIDE = 96
@@ -62,6 +61,12 @@ def test_pixels_shown_add_up_to_what_is_covered(wall):
     torch.testing.assert_close(shown.sum(1), alpha, rtol=1e-4, atol=1e-2)
 
 
+@pytest.fixture(scope="module")
+def result(wall):
+    """The wall with strokes of the defaults."""
+    return painted(wall)
+
+
 def painted(wall, **options):
     stylizer = anystyle.load("painter")
     painting = stripes(-0.4) * torch.tensor([1.0, 0.5, 0.2])[:, None, None]
@@ -69,8 +74,7 @@ def painted(wall, **options):
     return Brush(**options)(stylizer, wall, Style(image=painting), embedding)
 
 
-def test_strokes_lie_on_the_wall_along_its_stripes(wall):
-    result = painted(wall)
+def test_strokes_lie_on_the_wall_along_its_stripes(wall, result):
     number = wall.gaussians.means.shape[1]
     strokes = result.map(lambda tensor: tensor[:, number:])
     assert torch.equal(result.means[:, :number], wall.gaussians.means)  # what was there stays where it is
@@ -90,13 +94,13 @@ def test_strokes_lie_on_the_wall_along_its_stripes(wall):
     assert rgb.min() >= 0 and rgb.max() <= 1
 
 
-def test_size_scales_strokes_and_the_seed_decides(wall):
-    small, large, again = painted(wall), painted(wall, size=2.0), painted(wall)
+def test_size_scales_strokes_and_the_seed_decides(wall, result):
+    large, again = painted(wall, size=2.0, seed=1), painted(wall)
     number = wall.gaussians.means.shape[1]
-    assert torch.equal(small.means, again.means)
-    assert not torch.equal(small.means[:, number : number + 50], painted(wall, seed=1).means[:, number : number + 50])
-    assert large.means.shape[1] < small.means.shape[1]
-    assert large.scales[0, number:, 0].min() > 1.5 * small.scales[0, number:, 0].min()
+    assert torch.equal(result.means, again.means)
+    assert not torch.equal(result.means[:, number : number + 50], large.means[:, number : number + 50])
+    assert large.means.shape[1] < result.means.shape[1]
+    assert large.scales[0, number:, 0].min() > 1.5 * result.scales[0, number:, 0].min()
 
 
 def test_scenes_of_the_single_pass_are_painted_on_too(wall):
@@ -111,4 +115,3 @@ def test_scenes_of_the_single_pass_are_painted_on_too(wall):
 def test_options_are_checked():
     with pytest.raises(UserError, match=r"method\.size"):
         build(Method, {"_target_": "anystyle_methods.brush.Brush", "size": 0.0})
-    assert all(first.width > second.width for first, second in pairwise(LAYERS))

@@ -57,13 +57,11 @@ def test_what_does_not_move_keeps_its_bits(preset):
     assert not torch.equal(result.harmonics, given.gaussians.harmonics)
 
 
-@pytest.mark.parametrize("preset", ["nnfm", "sos", "g_style"])
-def test_the_loss_falls(preset):
-    losses = []
-    words = (f"method={preset}", "method.num_steps=16", "method.report_every=4", *SMALL.get(preset, []))
-    run(
-        method(*words), on_progress=lambda progress: losses.append(float(progress.line.split("loss ")[1].split(",")[0]))
-    )
+def test_the_loss_falls():
+    lines = []
+    words = ("method=nnfm", "method.num_steps=16", "method.report_every=4")
+    run(method(*words), on_progress=lambda progress: lines.append(progress.line))
+    losses = [float(line.split("loss ")[1].split(",")[0]) for line in lines]
     assert losses[-1] < losses[0]
 
 

@@ -10,8 +10,7 @@ from torch import Tensor
 from anystyle.metrics.base import Pairs, RowMean, mean_per_row, with_style_images
 from anystyle.types import Comparison
 
-BINS = 8
-"""Of each channel."""
+BINS = 8  # of each channel
 
 
 class ColorHistogram(RowMean):
@@ -21,6 +20,15 @@ class ColorHistogram(RowMean):
     histograms of 8 x 8 x 8 equal bins over sRGB values, each summing to 1: the distance is half the sum of the
     absolute differences, the share of pixels that would have to change their bin. ``color_match`` compares chroma
     alone. Rows without a style image are left out.
+
+    Example:
+        >>> from anystyle.types import Style
+        >>> black, gray = torch.zeros(1, 1, 3, 8, 8), torch.zeros(1, 3, 8, 8)
+        >>> gray[..., :6] = 0.5
+        >>> metric = ColorHistogram()
+        >>> metric.update(Comparison(content=black, stylized=black, style=Style(image=gray)))
+        >>> metric.compute()
+        {'color_histogram': tensor(0.7500)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"color_histogram": "lower"}

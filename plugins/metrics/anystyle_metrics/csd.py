@@ -17,8 +17,7 @@ from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.features import Frozen, load_frozen
 
 NAME = "csd_vit_l"
-SIDE = 224
-"""Of the square in pixels that is seen, the middle of an image whose shorter side it is."""
+SIDE = 224  # pixels of the square that is seen, the middle of an image whose shorter side it is
 HEAD = "last_layer_style"
 
 
@@ -30,6 +29,15 @@ class CSD(RowMean):
 
     Args:
         file: The published checkpoint; where :func:`anystyle.vision.weights.find` looks if it is not given.
+
+    Example:
+        >>> import tempfile
+        >>> from anystyle.types import Style
+        >>> metric = CSD(**CSD.example(Path(tempfile.mkdtemp())))
+        >>> image = torch.full((1, 1, 3, 224, 224), 0.5)
+        >>> figures = metric(Comparison(content=image, stylized=image, style=Style(image=image[0])))
+        >>> round(float(figures["csd"]), 4)
+        1.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"csd": "higher"}
@@ -44,10 +52,8 @@ class CSD(RowMean):
         tower = Vision(64, 1, 56, SIDE, 8, quick_gelu)
         state = {f"backbone.{key}": tensor for key, tensor in tower.state_dict().items() if key != "proj"}
         heads = {HEAD: tower.proj.data, "last_layer_content": -tower.proj.data}
-        torch.save(
-            {"model_state_dict": {f"module.{key}": tensor for key, tensor in (state | heads).items()}},
-            folder / "csd.pth",
-        )
+        published = {f"module.{key}": tensor for key, tensor in (state | heads).items()}
+        torch.save({"model_state_dict": published}, folder / "csd.pth")
         return {"file": str(folder / "csd.pth")}
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:

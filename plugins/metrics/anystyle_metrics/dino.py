@@ -14,12 +14,9 @@ from anystyle.vision import networks
 from anystyle.vision.features import Frozen, load_frozen
 from anystyle.vision.weights import Weights, find, locate, published, read
 
-DEPTH, HEAD, RESOLUTION = 12, 64, 224
-"""Blocks, channels of an attention head, and the side in pixels that position embeddings are stored for."""
-OFFSET = 0.1
-"""Added to the sides of a grid of patches where position embeddings are resampled, as published."""
-SIZES = {"dino_vitb8": (768, 8), "dino_vits16": (384, 16)}
-"""Channels and side of a patch of each network."""
+DEPTH, HEAD, RESOLUTION = 12, 64, 224  # blocks, channels of a head, pixels that position embeddings are stored for
+OFFSET = 0.1  # added to the sides of a grid of patches where position embeddings are resampled, as published
+SIZES = {"dino_vitb8": (768, 8), "dino_vits16": (384, 16)}  # channels and side of a patch
 STAND_IN = "efficientnet_lite0"
 
 

@@ -3,7 +3,7 @@
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
-from math import acos, degrees, inf, nan
+from math import inf, nan
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -19,8 +19,7 @@ from anystyle.types import Cameras, Comparison
 from anystyle.vision.preprocess import checked
 
 FIGURES = ("pose_auc", "registered", "camera_error")
-LIMIT = 20.0
-"""Degrees at which ``pose_auc`` ends."""
+LIMIT = 20.0  # degrees at which ``pose_auc`` ends
 
 
 class GeometrySurvival(Metric):
@@ -38,6 +37,13 @@ class GeometrySurvival(Metric):
 
     Args:
         min_side: Smaller views are enlarged to this longer side in pixels, in which SIFT finds more features.
+
+    Example:
+        >>> intrinsics, poses = torch.eye(3).repeat(1, 2, 1, 1), torch.eye(4).repeat(1, 2, 1, 1)
+        >>> flat = torch.full((1, 2, 3, 64, 64), 0.5)  # SIFT finds nothing
+        >>> known = {"cameras": Cameras(poses, intrinsics, (64, 64))}
+        >>> GeometrySurvival(min_side=64)(Comparison(content=flat, stylized=flat, **known))
+        {'pose_auc': tensor(0.), 'registered': tensor(0.), 'camera_error': tensor(nan)}
     """
 
     better: ClassVar[Mapping[str, str]] = dict(zip(FIGURES, ("higher", "higher", "lower"), strict=True))
@@ -113,13 +119,8 @@ def pose_error(found: Float64[np.ndarray, "3 4"], known: Float64[np.ndarray, "4 
 
     A right angle stands for the direction of no translation; where the known motion has none, rotations count alone.
     """
-    angles = [angle((np.trace(found[:, :3].T @ known[:3, :3]) - 1) / 2)]
-    lengths = float(np.linalg.norm(found[:, 3])), float(np.linalg.norm(known[:3, 3]))
-    if lengths[1] > 0:
-        angles.append(angle(float(found[:, 3] @ known[:3, 3]) / max(lengths[0] * lengths[1], 1e-12)))
-    return max(angles)
-
-
-def angle(cosine: float) -> float:
-    """In degrees."""
-    return degrees(acos(min(max(cosine, -1), 1)))
+    cosines = [(np.trace(found[:, :3].T @ known[:3, :3]) - 1) / 2]
+    if (known[:3, 3] != 0).any():
+        lengths = np.linalg.norm(found[:, 3]) * np.linalg.norm(known[:3, 3])
+        cosines.append(found[:, 3] @ known[:3, 3] / max(lengths, 1e-12))
+    return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).max())

@@ -15,10 +15,8 @@ from anystyle.vision.feature_cache import batch_size, digests
 from anystyle.vision.weights import Weights
 from anystyle_metrics import dino
 
-SHORT_SIDE, MULTIPLE = 256, 16
-"""Of the images that the network sees, in pixels: the first is MEt3R's, the second the patches' side."""
-STEP = 4
-"""Every fourth row and column of pixels is compared: features have less detail still."""
+SHORT_SIDE, MULTIPLE = 256, 16  # pixels of the images that the network sees, MEt3R's, and of a patch
+STEP = 4  # every fourth row and column of pixels is compared: features have less detail still
 
 
 class Matches(NamedTuple):
@@ -43,6 +41,16 @@ class Met3rDepth(NetworkMetric, RowMean):
 
     Args:
         weights: ``auto`` falls back to the stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> from anystyle.types import Cameras
+        >>> views = torch.rand(1, 1, 3, 64, 64).expand(1, 2, 3, 64, 64)
+        >>> intrinsics = torch.tensor([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]).repeat(1, 2, 1, 1)
+        >>> cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), intrinsics, (64, 64))
+        >>> known = {"depth": torch.ones(1, 2, 64, 64), "cameras": cameras}
+        >>> figure = Met3rDepth(weights="stand_in")(Comparison(content=views, stylized=views, **known))
+        >>> round(float(figure["met3r_depth"]), 3)
+        0.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"met3r_depth": "lower"}
@@ -53,11 +61,9 @@ class Met3rDepth(NetworkMetric, RowMean):
         self.network, source = dino.load("dino_vits16", weights)
         self.declare(source)
         self._correspondence = RenderedDepth()
-        # The last scene's, for its next style.
-        self._matches: tuple[list[str], list[Matches]] = ([], [])
+        self._matches: tuple[list[str], list[Matches]] = ([], [])  # the last scene's, for its next style
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean of each row's pairs; ``nan`` where no view sees what the next one shows."""
         depth, cameras = comparison.depth, comparison.cameras
         neighbours = comparison.neighbours()
         if depth is None or cameras is None or not neighbours:
@@ -68,11 +74,9 @@ class Met3rDepth(NetworkMetric, RowMean):
 
     def _of_row(self, frames: Frames, first: Int[Tensor, " N"], second: Int[Tensor, " N"]) -> Float[Tensor, ""]:
         features = self._features(frames.images)
-        forward, backward = self._both_ways(frames, first, second)
-        similarities = [
-            similarity(features[first], features[second], forward),
-            similarity(features[second], features[first], backward),
-        ]
+        pairs = ((first, second), (second, first))
+        matches = zip(pairs, self._both_ways(frames, first, second), strict=True)
+        similarities = [similarity(features[one], features[other], match) for (one, other), match in matches]
         return 1 - torch.stack(similarities).double().mean(0).nanmean()
 
     def _features(self, images: Float[Tensor, "V 3 H W"]) -> Float[Tensor, "V C h w"]:
@@ -83,10 +87,8 @@ class Met3rDepth(NetworkMetric, RowMean):
 
     def _both_ways(self, frames: Frames, first: Int[Tensor, " N"], second: Int[Tensor, " N"]) -> list[Matches]:
         known = (frames.depth, frames.world_from_camera, frames.intrinsics)
-        key = [
-            str((first.tolist(), second.tolist())),
-            *(digest for tensor in known if tensor is not None for digest in digests(tensor)),
-        ]
+        key = [digest for tensor in known if tensor is not None for digest in digests(tensor)]
+        key.append(str((first.tolist(), second.tolist())))
         if key != self._matches[0]:
             source: Frames = frames.map(lambda tensor: tensor[first])
             target: Frames = frames.map(lambda tensor: tensor[second])

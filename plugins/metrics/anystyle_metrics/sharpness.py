@@ -19,12 +19,18 @@ class Sharpness(RowMean):
     much a method blurs, and not how good its images are. Strokes differ in detail from style to style; divided by the
     figure of a method that paints each view alone, it says what a scene in 3D has lost of them. Rows whose photographs
     are flat are left out.
+
+    Example:
+        >>> photograph = torch.tensor([0.0, 0.4, 0.0, 0.4]).expand(1, 1, 3, 4, 4)
+        >>> metric = Sharpness()
+        >>> metric.update(Comparison(content=photograph, stylized=0.5 * photograph))
+        >>> metric.compute()
+        {'sharpness': tensor(0.5000)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"sharpness": "higher"}
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The ratio of each row; ``nan`` where its photographs are flat."""
         ratio = total_variation(comparison.stylized) / (variation := total_variation(comparison.content))
         return torch.where(variation > 0, ratio, torch.nan)
 

@@ -14,8 +14,7 @@ from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.weights import Weights
 from anystyle_metrics import dino
 
-SHORT_SIDE = 224
-"""In pixels, as published."""
+SHORT_SIDE = 224  # pixels, as published
 
 
 class StructureDistance(NetworkMetric, RowMean):
@@ -30,6 +29,12 @@ class StructureDistance(NetworkMetric, RowMean):
 
     Args:
         weights: ``auto`` falls back to the stand-in, with a warning, where the published ones are missing.
+
+    Example:
+        >>> import torch
+        >>> image = torch.rand(1, 1, 3, 64, 64)
+        >>> StructureDistance(weights="stand_in")(Comparison(content=image, stylized=image))
+        {'structure_distance': tensor(0.)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"structure_distance": "lower"}

@@ -1,5 +1,7 @@
 """The benchmark's metrics against numpy, SciPy, torch's own transformer and scenes that are known."""
 
+import doctest
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +37,14 @@ def figures(metric, content, stylized, style=None, **known):
     }
 
 
+@pytest.mark.parametrize(
+    "name", ["color_histogram", "csd", "geometry_survival", "met3r", "sharpness", "structure_distance"]
+)
+def test_examples_are_right(name):
+    result = doctest.testmod(importlib.import_module(f"anystyle_metrics.{name}"))
+    assert result.attempted > 0 and result.failed == 0
+
+
 def noise_like(images):
     return torch.rand(images.shape, generator=torch.Generator().manual_seed(1))
 
@@ -47,14 +57,8 @@ def theirs(network):
         layer = nn.TransformerEncoderLayer(
             dim, dim // 64, 4 * dim, activation="gelu", layer_norm_eps=1e-6, batch_first=True, norm_first=True
         )
-        weights = {
-            "self_attn.in_proj": block.attn.qkv,
-            "self_attn.out_proj": block.attn.proj,
-            "linear1": block.mlp.fc1,
-            "linear2": block.mlp.fc2,
-            "norm1": block.norm1,
-            "norm2": block.norm2,
-        }
+        weights = {"self_attn.in_proj": block.attn.qkv, "self_attn.out_proj": block.attn.proj}
+        weights |= {"linear1": block.mlp.fc1, "linear2": block.mlp.fc2, "norm1": block.norm1, "norm2": block.norm2}
         state = {}
         for name, part in weights.items():
             joint = "_" if name.endswith("in_proj") else "."
@@ -184,12 +188,6 @@ def test_views_are_neighbours_by_their_numbers():
     np.testing.assert_equal(*poses)
 
 
-def test_met3r_needs_geometry():
-    images = smooth_image(5, [2, 3, 64, 64])
-    with pytest.warns(UserWarning, match="no two views with depth and cameras"):
-        assert np.isnan(figures(Met3rDepth(weights="stand_in"), images, images)["met3r_depth"])
-
-
 def test_color_histogram_is_numpys():
     first, second = torch.rand(2, 3, 40, 50), smooth_image(6, [3, 60, 30])
     pixels = [image.flatten(1).T.double().numpy() for image in (*first, second)]
@@ -200,12 +198,6 @@ def test_color_histogram_is_numpys():
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
-def test_color_histogram_has_its_bounds():
-    black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
-    assert figures(ColorHistogram(), black, white, white[0])["color_histogram"] == 0
-    assert figures(ColorHistogram(), black, black, white[0])["color_histogram"] == 1
-
-
 def test_sharpness_is_a_ratio_of_steps():
     images = torch.rand(3, 3, 20, 30, generator=torch.Generator().manual_seed(0))
     blurred = torch.from_numpy(gaussian_filter(images.numpy(), (0, 0, 1, 1)))
@@ -214,7 +206,6 @@ def test_sharpness_is_a_ratio_of_steps():
         for each in (blurred, images)
     ]
     np.testing.assert_allclose(figures(Sharpness(), images, blurred)["sharpness"], steps[0] / steps[1], rtol=1e-5)
-    assert figures(Sharpness(), images, 0.5 * images)["sharpness"] == pytest.approx(0.5)
     with pytest.warns(UserWarning, match="no image that can be judged"):
         assert np.isnan(figures(Sharpness(), torch.zeros_like(images), images)["sharpness"])
 
@@ -259,24 +250,15 @@ def test_csd_is_the_cosine_of_the_style_heads_outputs(tmp_path):
     ).eval()
     names = {"attn": "self_attn", "mlp.c_fc": "linear1", "mlp.c_proj": "linear2", "ln_1": "norm1", "ln_2": "norm2"}
     block = {key.removeprefix("transformer.resblocks.0."): tensor for key, tensor in state.items() if "resbl" in key}
-    layer.load_state_dict(
-        {
-            name + key.removeprefix(own): block[key]
-            for own, name in names.items()
-            for key in block
-            if key.startswith(own)
-        }
-    )
+    pairs = ((own, name, key) for own, name in names.items() for key in block if key.startswith(own))
+    layer.load_state_dict({name + key.removeprefix(own): block[key] for own, name, key in pairs})
+    stats = torch.tensor([[0.48145466, 0.4578275, 0.40821073], [0.26862954, 0.26130258, 0.27577711]])
 
     def described(images):
-        mean, std = (
-            torch.tensor(each).view(3, 1, 1)
-            for each in ((0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711))
-        )
+        mean, std = stats[..., None, None]
         patches = nn.functional.conv2d((images - mean) / std, state["conv1.weight"], stride=56).flatten(2).mT
-        tokens = (
-            torch.cat([state["class_embedding"].expand(len(images), 1, -1), patches], 1) + state["positional_embedding"]
-        )
+        tokens = torch.cat([state["class_embedding"].expand(len(images), 1, -1), patches], 1)
+        tokens = tokens + state["positional_embedding"]
         normed = nn.functional.layer_norm(tokens, (64,), state["ln_pre.weight"], state["ln_pre.bias"])
         last = nn.functional.layer_norm(layer(normed)[:, 0], (64,), state["ln_post.weight"], state["ln_post.bias"])
         return nn.functional.normalize(last @ state["last_layer_style"], dim=-1)

@@ -19,25 +19,23 @@ def _power(matrix: np.ndarray, exponent: float) -> np.ndarray:
     return axes @ np.diag(values.clip(1e-8) ** exponent) @ axes.T
 
 
-def main() -> None:
+def main(name: str, job: Job) -> None:
     """Paint every view in every style."""
-    name, job = sys.argv[1], Job()
-    photographs = {view: job.photograph(view) for view in job.views}
-    pixels = np.concatenate([image.reshape(-1, 3) for image in photographs.values()]).astype(float)
+    images = {view: job.photograph(view) for view in job.views}
+    pixels = np.concatenate([image.reshape(-1, 3) for image in images.values()]).astype(float)
     for number, style in enumerate(job.styles):
         generator = np.random.default_rng([job.seed, number])
+        matrix, offset = np.eye(3), np.zeros(3)
         if name == "palette":
             matrix, offset = palette(pixels, job.painting(style["image"]).reshape(-1, 3).astype(float))
-            images = {view: image @ matrix + offset for view, image in photographs.items()}
-        elif name == "pasted":
-            images = dict.fromkeys(job.views, job.fitted(style["image"]))
-        elif name == "noise":
-            images = {view: generator.integers(0, 256, image.shape) for view, image in photographs.items()}
-        else:
-            images = photographs
-        for view, image in images.items():
+        for view, photograph in images.items():
+            image = photograph @ matrix + offset
+            if name == "pasted":
+                image = job.fitted(style["image"])
+            elif name == "noise":
+                image = generator.integers(0, 256, image.shape)
             job.write(style["name"], view, image)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1], Job())

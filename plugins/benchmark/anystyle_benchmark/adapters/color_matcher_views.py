@@ -3,16 +3,10 @@
 from color_matcher import ColorMatcher  # pyright: ignore[reportMissingImports]
 from views import Job
 
-
-def main() -> None:
-    """Paint every view in every style."""
+if __name__ == "__main__":
     job = Job()
     for style in job.styles:
         painting = job.painting(style["image"]).astype(float)
         for view in job.views:
             photograph = job.photograph(view).astype(float)
             job.write(style["name"], view, ColorMatcher().transfer(src=photograph, ref=painting, method="mkl"))
-
-
-if __name__ == "__main__":
-    main()

@@ -14,6 +14,7 @@ from anystyle.stylizer import Stylizer
 from anystyle_benchmark.job import SECONDS
 
 
+@torch.no_grad()
 def two_d(stylizer: Stylizer, photographs: Tensor, style: dict[str, str]) -> Tensor:
     """Photographs [V, 3, H, W] painted one by one by the network that teaches the painter its colours."""
     from anystyle_magenta.injector import MagentaInjector, stylize_images  # found once a model of it is loaded
@@ -27,21 +28,15 @@ def two_d(stylizer: Stylizer, photographs: Tensor, style: dict[str, str]) -> Ten
     return images[0]
 
 
-@torch.no_grad()
-def main() -> None:
-    """Paint every view in every style."""
+if __name__ == "__main__":
     job, start = Job(), time.process_time()
-    stylizer = anystyle.load()
+    painter, seconds = anystyle.load(), {}
     photographs = torch.stack([torch.tensor(job.photograph(view)).movedim(-1, 0) / 255 for view in job.views])
-    spent, seconds = time.process_time(), {}
+    spent = time.process_time()
     once = spent - start
     for style in job.styles:
-        for view, image in zip(job.views, two_d(stylizer, photographs, style), strict=True):
+        for view, image in zip(job.views, two_d(painter, photographs, style), strict=True):
             job.write(style["name"], view, 255 * image.movedim(0, -1).numpy())
         spent, before = time.process_time(), spent
         seconds[style["name"]] = spent - before
     write_json(job.out / SECONDS, {"scene": once, "styles": seconds})
-
-
-if __name__ == "__main__":
-    main()

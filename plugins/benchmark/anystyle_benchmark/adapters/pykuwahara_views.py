@@ -3,15 +3,9 @@
 from pykuwahara import kuwahara  # pyright: ignore[reportMissingImports]
 from views import Job
 
-
-def main() -> None:
-    """Paint every view in every style."""
+if __name__ == "__main__":
     job = Job()
     for view in job.views:
         painted = kuwahara(job.photograph(view), method="gaussian", radius=4)
         for style in job.styles:
             job.write(style["name"], view, painted)
-
-
-if __name__ == "__main__":
-    main()

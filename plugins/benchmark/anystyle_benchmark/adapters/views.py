@@ -1,4 +1,4 @@
-"""A job's photographs and paintings as arrays, and its results as files; needs NumPy and Pillow alone."""
+"""A job's photographs and paintings as arrays, and its results as files; needs only NumPy and Pillow."""
 
 import json
 import sys
@@ -14,8 +14,7 @@ class Job:
     def __init__(self) -> None:
         asked = json.loads(Path(sys.argv[-1]).read_text())
         self.views, self.styles, self.seed = asked["views"], asked["styles"], asked["seed"]
-        self.height, self.width = asked["size"]
-        self.photographs, self.out = asked["photographs"], Path(asked["out"])
+        self.size, self.photographs, self.out = asked["size"], asked["photographs"], Path(asked["out"])
 
     def photograph(self, view: str) -> np.ndarray:
         """A view as it is judged: reduced, and cut to the size evenly."""
@@ -23,15 +22,19 @@ class Job:
 
     def fitted(self, path: str) -> np.ndarray:
         """A picture that covers a view."""
-        picture = ImageOps.exif_transpose(Image.open(path)).convert("RGB")
-        return np.asarray(ImageOps.fit(picture, (self.width, self.height), Image.Resampling.LANCZOS))
+        return np.asarray(ImageOps.fit(opened(path), tuple(reversed(self.size)), Image.Resampling.LANCZOS))
 
     def painting(self, path: str) -> np.ndarray:
         """A picture at its own size."""
-        return np.asarray(ImageOps.exif_transpose(Image.open(path)).convert("RGB"))
+        return np.asarray(opened(path))
 
     def write(self, style: str, view: str, image: np.ndarray) -> None:
         """Write a result, 8-bit or in [0, 255]."""
         folder = self.out / style
         folder.mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.clip(np.rint(image), 0, 255).astype(np.uint8)).save(folder / f"{view}.png")
+
+
+def opened(path: str) -> Image.Image:
+    """A picture the right way up, in RGB."""
+    return ImageOps.exif_transpose(Image.open(path)).convert("RGB")

@@ -10,10 +10,8 @@ from torch import Tensor
 
 from anystyle.geometry.warp import sample_at
 
-RADIUS = 8
-"""Of the search, in pixels at a quarter of the size."""
-DAMPING = 1e-4
-"""Added to squared gradients: windows without any texture do not move."""
+RADIUS = 8  # of the search, in pixels at a quarter of the size
+DAMPING = 1e-4  # added to squared gradients: windows without any texture do not move
 
 
 def match(source: Float[Tensor, "M 3 H W"], target: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 2 H W"]:

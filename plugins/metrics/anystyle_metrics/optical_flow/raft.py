@@ -21,8 +21,7 @@ from anystyle_metrics.optical_flow.visibility import cycle_visible, inside
 
 log = logging.getLogger(__name__)
 
-MAX_VOLUME = 1 << 29
-"""Bytes that the correlation volumes of a batch of pairs may take."""
+MAX_VOLUME = 1 << 29  # bytes that the correlation volumes of a batch of pairs may take
 
 
 class Raft(Correspondence):
@@ -94,13 +93,8 @@ def padded(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
     """Images continued by their border at the right and below, to what RAFT takes."""
     height, width = images.shape[-2:]
     if min(height, width) < network.SMALLEST:
-        log.warning(
-            "frames of %dx%d pixels are padded to %d: RAFT has no numbers for smaller ones, and its flow near the "
-            "border is a guess",
-            height,
-            width,
-            network.SMALLEST,
-        )
+        told = "frames of %dx%d pixels are padded to %d: RAFT has no numbers for smaller ones, and its flow near the "
+        log.warning(told + "border is a guess", height, width, network.SMALLEST)
     below = max(network.SMALLEST, -(-height // 8) * 8) - height
     right = max(network.SMALLEST, -(-width // 8) * 8) - width
     return F.pad(images, (0, right, 0, below), mode="replicate") if below or right else images

@@ -1,6 +1,6 @@
 """How well words that no text tower learnt are placed, a table of ``docs/styles.md``.
 
-``python -m tests.benchmarks.unseen_words`` prints it.
+``python -m plugins.magenta.tests.unseen_words`` prints it.
 
 A text is right when its style vector is nearer to that of its own meaning than to another's, by the cosine about the
 mean; chance is 0.5. Where all other meanings of a list are compared with, a second row has those alone that are unlike
@@ -24,7 +24,7 @@ import anystyle
 from anystyle.io.checkpoint import save_tensors
 from anystyle.nn.words import clean
 
-UNSEEN = Path(__file__).parents[2] / "plugins" / "magenta" / "tests" / "unseen_words.toml"
+UNSEEN = Path(__file__).with_suffix(".toml")
 FOLD, FOLDS, LONGEST = 2, 3, 3
 Embed = Callable[[Sequence[str]], Tensor]
 
