@@ -1,6 +1,7 @@
 """Sessions and answers, stored durably in SQLite: one row per answer."""
 
 import hashlib
+import os
 import sqlite3
 import threading
 from collections import Counter
@@ -92,6 +93,9 @@ class Store:
             self.close()
             raise UserError(f"{path} holds answers to another study ({held}, not {study.id}); name another file")
         self._files = {file: file.stat().st_ino for file in (path, path.with_name(path.name + "-wal"))}
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)  # so that the file names are durable
+        os.close(folder)
 
     def close(self) -> None:
         """Close the file."""

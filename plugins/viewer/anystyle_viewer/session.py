@@ -129,7 +129,7 @@ class Session:
         given = tuple(self.image_file(style) or style for style in styles)
         controls = request.controls if request.style else Controls(0.0, request.preserve_color)
         name = "_".join(slug(style if isinstance(style, str) else style.stem) for style in given) or "unstyled"
-        mixed = (Mixture(*given, request.amount),) if request.second else given or ("none",)
+        mixed = (Mixture(given[0], given[1], request.amount),) if request.second else given or ("none",)
         args = Request((inputs,), mixed, (controls,), tuple(words)).args()
         return join(["anystyle", "stylize", *args, "--out", f"styled-{name}"])
 

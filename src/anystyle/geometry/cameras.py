@@ -34,9 +34,8 @@ def smooth_path(cameras: Cameras, frames: int) -> Cameras:
         path[:, :3, 3] = PchipInterpolator(key_times, pose[keys, :3, 3])(times)
         path[:, :3, :3] = RotationSpline(key_times, Rotation.from_matrix(pose[keys, :3, :3]))(times).as_matrix()
         path_intrinsics = PchipInterpolator(key_times, intrinsics[keys])(times)
-    return Cameras(
-        *(torch.as_tensor(each)[None].to(cameras.intrinsics) for each in (path, path_intrinsics)), cameras.size
-    )
+    poses, path_intrinsics = (torch.as_tensor(each)[None].to(cameras.intrinsics) for each in (path, path_intrinsics))
+    return Cameras(poses, path_intrinsics, cameras.size)
 
 
 def look_at(

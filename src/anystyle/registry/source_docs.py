@@ -73,7 +73,8 @@ def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: 
     if not any("dataclass" in ast.unparse(decorator) for decorator in definition.decorator_list):
         return inherited
     fields = (statement for statement in definition.body if isinstance(statement, ast.AnnAssign))
-    return inherited + [_written(ast.unparse(field.target), field.annotation, field.value) for field in fields]
+    options = [field for field in fields if not ast.unparse(field.annotation).startswith("ClassVar")]
+    return inherited + [_written(ast.unparse(field.target), field.annotation, field.value) for field in options]
 
 
 def _written(name: str, annotation: ast.expr | None, default: ast.expr | None) -> str:
