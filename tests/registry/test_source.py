@@ -7,6 +7,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.object_type import ObjectType
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 
 from anystyle.contracts import Placement
 from anystyle.deprecated import moved_classes
@@ -187,3 +188,17 @@ def test_a_preset_of_two_packages_is_refused_when_chosen(composed, package):
         package("placement/shallow.yaml", f"defaults: [deep, _self_]\ndepth: {depth}\n")
     with pytest.raises(HydraException, match="placement=shallow is declared more than once"):
         composed("placement=shallow")
+
+
+def test_two_of_one_name_are_told_when_chosen(composed, plugin_folder):
+    plugin_folder(PLACEMENTS, deep="Deep")
+    assert composed("placement=head").placement._target_.endswith("Head")
+    with pytest.raises(HydraException, match="placement 'deep' is declared more than once"):
+        composed()
+
+
+def test_composed_configurations_can_be_written(composed):
+    text = OmegaConf.to_yaml(composed("placement.attention=math"))
+    assert "attention: math" in text
+    again = OmegaConf.create(text)
+    assert build(Placement, again.placement).attention == "math"

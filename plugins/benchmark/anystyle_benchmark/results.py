@@ -46,7 +46,7 @@ class Record(Struct, frozen=True):
             result was reused.
         memory: Peak resident memory of its processes, in MiB; ``None`` where nothing was run.
         machine: Processor and number of cores.
-        versions: Of what ran.
+        versions: Versions of the packages that ran.
     """
 
     status: Literal["done", "failed", "timeout", "missing"]

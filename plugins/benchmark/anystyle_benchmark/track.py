@@ -66,10 +66,10 @@ class Track(Struct, frozen=True, forbid_unknown_fields=True):
 
     Args:
         version: Raised with every change of an input or a metric; figures of different versions are never compared.
-        short_side: Of the rendered views, in pixels; the other side follows the photograph, rounded.
+        short_side: Shorter side of the rendered views, in pixels; the other side follows the photograph, rounded.
         metrics: Names of metrics for each guide, ``image`` and ``text``.
-        sha256: Of every input, by its path as the track writes it; without it only the hashes of the user's own copies
-            are recorded, with the results.
+        sha256: Hash of every input, by its path as the track writes it; without it only the hashes of the user's own
+            copies are recorded, with the results.
     """
 
     name: Name

@@ -10,7 +10,7 @@ from anystyle.types import Stylization
 class AttributeChange(Loss):
     """Penalise changes of scales and opacities (StylizedGS, Zhang et al. 2024, section 3.3).
 
-    ``s mean |scale - scale^before| + o mean |opacity - opacity^before|``; 0 where a scene holds no Gaussians.
+    ``s mean |scale - scale^before| + o mean |opacity - opacity^before|``; 0 without Gaussians.
 
     Args:
         scale_weight: ``s``; the default is ours.

@@ -211,7 +211,7 @@ class _Matcher:
         beside = {parts: path for parts, path in photographs.items() if len(parts) == 1}
         self.notes: tuple[str, ...] = ()
         if inside and beside:
-            # Of scenes in folders if stylized images' folders have their names, or else of one scene beside folders.
+            # Scenes in folders if stylized images' folders have their names, or else one scene beside folders.
             named = any(map(Names(parts[0] for parts in inside).find, folders))
             photographs, aside = (inside, beside) if named else (beside, inside)
             names = listing(["/".join(parts) for parts in aside], 8)

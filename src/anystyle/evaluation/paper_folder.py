@@ -139,7 +139,7 @@ def _images(folder: Path) -> list[Path]:
 
 
 def images_by_style(folder: Path, styles: Sequence[str]) -> dict[str, dict[str, Path]]:
-    """Images of a scene by style and frame, in natural order: one folder a style, or ``STYLE_FRAME.png``."""
+    """Images of a scene by style and frame, in natural order: one folder per style, or ``STYLE_FRAME.png``."""
     inside = {path.name: path for path in _folders(folder) if path.name != "images"}
     by_style: dict[str, dict[str, Path]] = {}
     for style in styles if inside else ():

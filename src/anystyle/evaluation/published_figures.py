@@ -121,5 +121,5 @@ def _value(printed: str) -> float:
         return float(printed == "✓")
     value = float(printed.rstrip("sm ")) * (60.0 if printed.endswith("m") else 1.0)
     if not math.isfinite(value):
-        raise ValueError(f"{printed} is no figure")
+        raise ValueError(f"{printed} is not a number")
     return value

@@ -61,7 +61,7 @@ def mean_per_row(comparison: Comparison, value: Callable[[Pairs], Float[Tensor, 
 
 
 class RowMean(Metric, ABC):
-    """A metric with one figure, the mean of one number a row: each style of each scene counts alike.
+    """A metric with one score, the mean of one number per row: each style of each scene counts equally.
 
     A row's number that is ``nan`` is left out. ``lacking`` is the warning where no row had a number.
     """

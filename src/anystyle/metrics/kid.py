@@ -19,7 +19,7 @@ class KID(NetworkMetric):
     """Squared maximum mean discrepancy, with a cubic kernel, of stylized and style images.
 
     Unbiased at any number of images, in one estimate over all of them. A style image counts once: copies of one image
-    are no independent samples.
+    are not independent samples.
 
     Args:
         size: Pixels of the shorter side that images are resized to; 299 as in the network's training.

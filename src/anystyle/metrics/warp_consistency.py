@@ -54,7 +54,7 @@ class WarpConsistency(NetworkMetric):
             which is computed once for all styles. ``None`` takes the variant's: ``stylized`` in ``reference``,
             ``content`` in ``corrected``.
         variant: ``reference`` is the published script: images in [0, 255] for LPIPS and for the splatting's logits,
-            which saturate; RMSE over all pixels, so that a hole is no error. ``corrected`` has images in [0, 1], LPIPS
+            which saturate; RMSE over all pixels, so that a hole counts as 0. ``corrected`` has images in [0, 1], LPIPS
             in [-1, 1], searches the flow in the photographs, moves only pixels that the correspondence calls visible,
             and averages RMSE over the pixels where they land. ``warp_coverage_*`` is their share.
         weights: LPIPS'; ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.

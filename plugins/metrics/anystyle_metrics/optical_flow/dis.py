@@ -22,7 +22,7 @@ class DIS(Correspondence):
     Needs the extra ``flow``.
 
     Args:
-        preset: Of OpenCV, from fast and coarse to slow and fine.
+        preset: OpenCV's preset, from fast and coarse to slow and fine.
     """
 
     def __init__(self, *, preset: Literal["ultrafast", "fast", "medium"] = "medium") -> None:

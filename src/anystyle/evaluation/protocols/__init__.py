@@ -1,1 +1,1 @@
-"""Protocols, one a file."""
+"""Protocols, one per file."""
