@@ -75,8 +75,7 @@ def interval(values: Values) -> Interval:
         low, high = t_interval(mean, float(np.nanstd(pigeonhole(values))), float(crossed.df), CONFIDENCE)
     elif crossed is not None:
         low = high = mean  # nothing varies
-    mean, low, high = (as_figure(rounded(value)) for value in (mean, low, high))
-    return Interval(mean, low, high, count)
+    return Interval(as_figure(rounded(mean)), as_figure(rounded(low)), as_figure(rounded(high)), count)
 
 
 def difference(first: Values, second: Values) -> Difference:
