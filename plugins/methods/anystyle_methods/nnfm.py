@@ -26,10 +26,11 @@ class NNFM(FeatureLoss):
         >>> from dataclasses import replace
         >>> from anystyle.testing.inputs import stylization
         >>> from anystyle.types import Style
-        >>> red, green = torch.eye(3)[:2, :, None, None].expand(2, 3, 16, 16)
+        >>> red, green = torch.eye(3)[:2, :, None, None]
         >>> result = stylization()
-        >>> renders = replace(result.renders, color=red[None, None])
-        >>> NNFM(network="texture", layers=("rgb",))(replace(result, renders=renders, style=Style(image=green[None])))
+        >>> renders = replace(result.renders, color=red.expand_as(result.renders.color))
+        >>> style = Style(image=green.expand(1, 3, 16, 16))
+        >>> NNFM(network="texture", layers=("rgb",))(replace(result, renders=renders, style=style))
         tensor(1.)
     """
 

@@ -36,11 +36,11 @@ class OptimalTransport(NNFM):
         >>> from dataclasses import replace
         >>> from anystyle.testing.inputs import stylization
         >>> from anystyle.types import Style
-        >>> red, green = torch.eye(3)[:2, :, None, None].expand(2, 3, 16, 16)
+        >>> red, green = torch.eye(3)[:2, :, None, None]
         >>> result = stylization()
-        >>> renders = replace(result.renders, color=red[None, None])
+        >>> renders = replace(result.renders, color=red.expand_as(result.renders.color))
         >>> loss = OptimalTransport(network="texture", layers=("rgb",), num_samples=64)
-        >>> loss(replace(result, renders=renders, style=Style(image=green[None])))
+        >>> loss(replace(result, renders=renders, style=Style(image=green.expand(1, 3, 16, 16))))
         tensor(1.0000)
     """
 

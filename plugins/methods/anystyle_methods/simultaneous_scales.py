@@ -33,7 +33,7 @@ class SimultaneousScales(FeatureLoss):
         >>> from anystyle.testing.inputs import stylization
         >>> from anystyle.types import Style
         >>> result = stylization()
-        >>> renders = replace(result.renders, color=torch.full((1, 2, 3, 32, 32), 0.5))
+        >>> renders = replace(result.renders, color=torch.full_like(result.renders.color, 0.5))
         >>> gray = Style(image=torch.full((1, 3, 48, 40), 0.25))
         >>> loss = SimultaneousScales(network="texture", layers=("rgb",), scales=2, gram_weight=1, moments_weight=1)
         >>> loss(replace(result, renders=renders, style=gray))

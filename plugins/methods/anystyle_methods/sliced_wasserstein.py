@@ -27,7 +27,7 @@ class SlicedWasserstein(StatisticsLoss):
         >>> from anystyle.testing.inputs import stylization
         >>> from anystyle.types import Style
         >>> result = stylization()
-        >>> renders = replace(result.renders, color=torch.full((1, 2, 3, 32, 32), 0.5))
+        >>> renders = replace(result.renders, color=torch.full_like(result.renders.color, 0.5))
         >>> gray = Style(image=torch.full((1, 3, 48, 40), 0.25))
         >>> loss = SlicedWasserstein(directions=10_000)
         >>> round(float(loss(replace(result, renders=renders, style=gray))), 3)

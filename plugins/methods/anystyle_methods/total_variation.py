@@ -23,7 +23,7 @@ class TotalVariation(Loss):
         >>> from dataclasses import replace
         >>> from anystyle.testing.inputs import stylization
         >>> result = stylization()
-        >>> stripes = torch.tensor([0.0, 0.5]).repeat(8).expand(1, 2, 3, 16, 16)
+        >>> stripes = (0.5 * (torch.arange(result.renders.color.shape[-1]) % 2)).expand_as(result.renders.color)
         >>> TotalVariation()(replace(result, renders=replace(result.renders, color=stripes)))
         tensor(0.2500)
     """
