@@ -139,7 +139,7 @@ def test_cameras_of_a_real_capture_see_the_same_points():
         ("nonsense", "not a valid transforms.json"),
         ("[]", "not a valid transforms.json"),
         ('{"frames": [{"file_path": "a.png"}]}', "no w and h"),
-        ('{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": [[1], [3]]}]}', "no 4x4"),
+        ('{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": [[1]]}]}', "not a 4x4"),
         ('{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": '
          "[[9,0,0,0],[0,1,0,0],[0,0,1,0]]}]}", "no rotation"),
         ('{"w": 9, "h": 9, "fl_x": 9, "frames": []}', "none of the photographs"),

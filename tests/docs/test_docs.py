@@ -209,11 +209,11 @@ def _compose(command, module, words):
 def _plain(command, module, words):
     """Words of a command, or of a sub-command, which has a module of its own or shares that of the command."""
     below = f"anystyle.commands.{command}_{words[0]}" if words and words[0].isidentifier() else module.__name__
-    if importlib.util.find_spec(below) and below != module.__name__:
-        split(importlib.import_module(below).parser(), words[1:])
-    elif hasattr(module, "parser"):
+    if own := bool(importlib.util.find_spec(below) and below != module.__name__):
+        module, words = importlib.import_module(below), words[1:]
+    if hasattr(module, "parser"):
         given = parse(module.parser(), words[1:] if words[:1] == ["list"] else words)
-        assert command != "plugins" or not words or words[0] in kinds(), given
+        assert own or command != "plugins" or not words or words[0] in kinds(), given
     else:
         with pytest.MonkeyPatch.context() as patch, pytest.raises(_ParsedError):
             patch.setattr(module, "parse", _parse_only)

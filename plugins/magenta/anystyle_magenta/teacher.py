@@ -35,6 +35,13 @@ class Teacher(Loss):
         working_size: Shorter side in pixels at which the teacher sees the photographs.
         edges: The factor above.
         weight: In the objective.
+
+    Example:
+        >>> result, loss = inputs.stylization(), Teacher(working_size=32)
+        >>> painted = loss.stylized(result.views.images, result.style.image)
+        >>> renders = replace(result.renders, color=painted + 0.25)  # everywhere brighter, with the same edges
+        >>> print(f"{loss(replace(result, renders=renders)):.2f}")
+        0.25
     """
 
     def __init__(self, *, working_size: int = 224, edges: float = 1.0, weight: float = 10.0) -> None:

@@ -30,7 +30,7 @@ class NNFM(FeatureLoss):
         >>> result = stylization()
         >>> renders = replace(result.renders, color=red.expand_as(result.renders.color))
         >>> style = Style(image=green.expand(1, 3, 16, 16))
-        >>> NNFM(network="texture", layers=("rgb",))(replace(result, renders=renders, style=style))
+        >>> NNFM(network="texture", layers=("rgb",), size=16)(replace(result, renders=renders, style=style))
         tensor(1.)
     """
 

@@ -35,7 +35,7 @@ def test_the_loss_falls_and_the_branch_stays(stylizer):
 
     with torch.no_grad():
         before = distance(stylizer.restyle(scene, embedding))
-    method = RefineEmbedding(losses={"palette": loss}, num_steps=3, learning_rate=0.2)
+    method = RefineEmbedding(losses={"palette": loss}, num_steps=8, learning_rate=0.1)
     refined = method(stylizer, scene, style, embedding)
     with torch.no_grad():
         assert distance(refined) < 0.95 * before

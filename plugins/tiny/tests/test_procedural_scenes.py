@@ -111,7 +111,7 @@ def test_a_ray_meets_a_solid_where_it_enters_it(shape, angle, half, origin, aim)
         x, y, z = np.array(origin) + t * direction - [0.2, 0.1, -0.3]
         return INSIDE[shape](np.array([(c * x - s * z) / half[0], y / half[1], (s * x + c * z) / half[2]]))
 
-    if inside(0.0):
+    if inside(0.0) or inside(1e-6):  # an origin on the surface is on neither side
         return
     hit = hit_solid(solids, 0, tuple(origin), tuple(direction), 1e-9)
     before = np.linspace(0, min(hit, 3.0) - 1e-6, 200)
@@ -180,6 +180,7 @@ def test_size_does_not_change_the_scene():
     torch.testing.assert_close(wide.cameras.intrinsics, expected.expand(1, 2, 3, 3))
 
 
+@settings(deadline=None)  # the first call compiles kernels
 @given(st.floats(-100, 100))
 def test_the_sine_of_our_own(angle):
     assert sine(angle) == pytest.approx(np.sin(angle), abs=2e-7)

@@ -33,7 +33,7 @@ from anystyle.pipeline.request import Request
 from anystyle.published import Published
 from anystyle.registry.build import build, build_all, choice
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import compose, options
+from anystyle.registry.compose import compose
 from anystyle.registry.schema import runtime_arguments
 from anystyle.stylizer import Stylizer
 from anystyle.types import Site, Views, matching_sites
@@ -63,7 +63,7 @@ def weights_file(name: object) -> Path:
 
 def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> StyleBranch:
     """A style branch at initialisation: copies of the backbone's parts, and injectors that are identities."""
-    branch: BranchOptions = options(config, "branch")
+    branch = branch_options(config)
     sites = build(Placement, config.placement).select(sites_of(backbone, branch.sh_degree))
     chosen: dict[Site, Any] = dict.fromkeys(sites, config.injector)
     for pattern, other in branch.injectors.items():
@@ -74,6 +74,12 @@ def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> Style
 
     given = {name: value for name, value in vars(branch).items() if name != "injectors"}
     return StyleBranch(backbone, sites=sites, make_injector=make_injector, **given)
+
+
+def branch_options(config: DictConfig) -> BranchOptions:
+    """The checked options of the style branch; a saved configuration holds them without their types."""
+    given: Any = OmegaConf.to_container(config.branch, resolve=True)
+    return BranchOptions(**given)
 
 
 def published_by(config: DictConfig) -> Published:
@@ -121,7 +127,7 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
         The stylizer, and what was loaded: file name, SHA-256, provenance; by part, and where one has several networks
         the others by ``part/network``. A warning tells of an untrained branch unless it ``learns``.
     """
-    options(config, "branch")  # refuses what is wrong before anything is loaded
+    branch_options(config)  # refuses what is wrong before anything is loaded
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
     if "backbone" not in files:
         require_weights(config)
