@@ -75,7 +75,7 @@ def interval(values: Values) -> Interval:
         low, high = t_interval(mean, float(np.nanstd(pigeonhole(values))), float(crossed.df), CONFIDENCE)
     elif crossed is not None:
         low = high = mean  # nothing varies
-    return Interval(*(as_figure(rounded(value)) for value in (mean, low, high)), n=count)
+    return Interval(as_figure(rounded(mean)), as_figure(rounded(low)), as_figure(rounded(high)), count)
 
 
 def difference(first: Values, second: Values) -> Difference:
