@@ -1,6 +1,8 @@
 """Several processes are one, and a run that is killed is not lost: the weights at the end are the same."""
 
+import os
 import random
+import signal
 import time
 from pathlib import Path
 
@@ -54,6 +56,20 @@ def test_two_processes_that_are_killed_go_on_and_end_where_one_does(tmp_path):
     finish(*together(2, both, out))
     train(configuration(words, tmp_path / "one"), tmp_path / "one")
     same(branch(tmp_path / "one"), branch(out), 1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rank", [0, 1])
+def test_a_signal_to_one_of_two_processes_ends_both_with_a_checkpoint_and_no_traceback(tmp_path, rank):
+    out = tmp_path / "two"
+    words = (*TOY, "styles.num_styles=6", "trainer.max_steps=400", "checkpoint.every_steps=4", "trainer.strategy=ddp")
+    processes = together(2, words, out)
+    wait_for(out, 4, processes[0])
+    os.kill(processes[rank].pid, signal.SIGTERM)
+    for process in processes:
+        process.join(120)
+    assert [process.exitcode for process in processes] == [0, 0]  # `train` returns; the command says 143
+    assert 4 <= steps(out) < 400 and "Traceback" not in said(out)
 
 
 @pytest.mark.slow
