@@ -7,7 +7,7 @@ import torch
 
 from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.judge import judge, judge_pairing, mean
-from anystyle.evaluation.pairing import pair
+from anystyle.evaluation.pairing import Pairing, pair
 from anystyle.testing.inputs import comparison
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.types import Comparison
@@ -36,6 +36,8 @@ def test_rows_scenes_and_all_are_what_a_metric_says_of_them(tmp_path):
     scenes = [found.groups[f"scene {name}"]["change"] for name in ("one", "two")]
     assert found.figures == {"change": pytest.approx(sum(scenes) / 2)}
     assert found.n == 12 and found.better == {"change": "lower"}
+    mixed = judge_pairing({"toy": ToyMetric()}, Pairing((*cells[::2], *cells[1::2])), silent)
+    assert {name: dict(figures) for name, figures in mixed.groups.items()} == found.groups
 
 
 def test_warnings_of_metrics_are_kept_once_and_not_those_of_rows():

@@ -9,6 +9,7 @@ import torch
 import anystyle
 from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
 from anystyle.errors import UserError
+from anystyle.pipeline.results import recorded_args
 
 ARGS = [
     ["photos/", "--text", "blue ink", "views.take=3"],
@@ -75,6 +76,14 @@ def test_what_has_no_command_line_is_told(request_):
 def test_arguments_that_make_no_sense_are_a_line(args, message):
     with pytest.raises(UserError, match=message):
         Request.from_args(args)
+
+
+def test_a_recorded_request_names_files_without_their_folders_and_leaves_texts(tmp_path):
+    (tmp_path / "masks").mkdir()
+    args = [f"{tmp_path}/photos/", "--text", "/imagine a castle/tower", "--image", f"/x/a.jpg@{tmp_path}/masks"]
+    recorded = recorded_args(Request.from_args([*args, "views.masks=/p/q"]))
+    assert recorded[0] == "photos/" and recorded[-1] == "views.masks=q"
+    assert "/imagine a castle/tower" in recorded and any(word.startswith("a.jpg@masks") for word in recorded)
 
 
 def test_a_result_of_something_in_memory_has_no_request(photographs, tmp_path):

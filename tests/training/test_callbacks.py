@@ -40,6 +40,10 @@ def test_a_steps_randomness_depends_on_seed_and_step_alone():
     assert draw(1, 2, 3) == draw(1, 2, 0)
     values = {draw(seed, step) for seed in range(8) for step in range(8)}
     assert len(values) == 64
+    # Neighbouring words give unrelated numbers.
+    series = np.array([draw(0, step) for step in range(400)])
+    assert abs(np.corrcoef(series[:-1], series[1:])[0, 1]) < 0.15
+    assert abs(series.mean() - 0.5) < 0.05
 
 
 def test_the_average_is_the_one_of_its_definition():
@@ -60,17 +64,12 @@ def test_the_average_is_the_one_of_its_definition():
     assert torch.equal(again.weights["weight"], average.weights["weight"])
 
 
-def kept(tmp_path, step, decision):
-    """A callback that keeps checkpoints, its trainer, and the steps that are saved."""
-    trainer, steps = at(step), []
-    trainer.callback_metrics = {}
-    trainer.strategy.reduce_boolean_decision.side_effect = decision
-    trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
-    return RunCheckpoint(tmp_path / "last.ckpt", every_steps=2), trainer, steps
-
-
 def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path):
-    keeper, trainer, steps = kept(tmp_path, 0, lambda decision, all: decision)
+    keeper, steps = RunCheckpoint(tmp_path / "last.ckpt", every_steps=2), []
+    trainer = at()
+    trainer.callback_metrics = {}
+    trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision
+    trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
     keeper.on_train_start(trainer, Module())
     # Two batches a step, whose gradients are accumulated.
     for batch, step in enumerate([0, 1, 1, 2, 2, 3]):
@@ -83,14 +82,19 @@ def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path):
 
 
 def test_a_process_that_another_ones_signal_stops_saves_with_it_once(tmp_path):
-    keeper, trainer, steps = kept(tmp_path, 1, lambda decision, all: True)
+    keeper, steps = RunCheckpoint(tmp_path / "last.ckpt"), []
+    trainer = at(1)
+    trainer.callback_metrics = {}
+    trainer.strategy.reduce_boolean_decision.return_value = True
+    trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
     keeper.on_train_batch_end(trainer, Module(), None, None, 0)
     keeper.on_train_end(trainer, Module())
     assert steps == [1] and trainer.should_stop and keeper.stopped_by == "SIGTERM"
 
 
 def test_losses_far_above_the_usual_hardly_count():
-    module, skip = Module(), SkipOutliers(window=4, deviations=0.85, after=2)
+    module = Module()
+    skip = SkipOutliers(window=4, deviations=0.85, after=2)
     history = [1.0, 2.0, 3.0, 2.0]
     for step, loss in enumerate(history):
         skip.on_before_backward(at(step), module, torch.tensor(loss))

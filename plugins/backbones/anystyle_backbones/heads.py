@@ -157,10 +157,10 @@ def centred_cameras(
     ``rotation`` is world from camera; ``tangent`` that of half the vertical and half the horizontal field of view.
     """
     height, width = size
-    pose = torch.eye(4).to(origin).repeat(*origin.shape[:-1], 1, 1)
-    pose[..., :3, :3], pose[..., :3, 3] = rotation, origin
-    half = origin.new_tensor([width / 2, height / 2])
-    intrinsics = torch.eye(3).to(origin).repeat(*origin.shape[:-1], 1, 1)
-    intrinsics[..., 0, 0], intrinsics[..., 1, 1] = (half / tangent.flip(-1)).unbind(-1)
-    intrinsics[..., :2, 2] = half
-    return Cameras(pose, intrinsics, size)
+    last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)
+    # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
+    pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
+    focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
+    zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
+    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
+    return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)

@@ -126,10 +126,10 @@ def test_stereo_finds_the_depth_of_a_capture(tmp_path: Path) -> None:
     text = (TRACKS / "smoke" / "track.toml").read_text().split("[sha256]")[0]
     text = text.replace("../open/photographs", str(TRACKS / "open" / "photographs")).replace("../open/", "")
     track.write_text(text)
-    Benchmark()(["geometry", str(track), "--scenes", "banana"])
+    Benchmark()(["geometry", str(track), "--scenes", "bronze_axe"])
     made = Inputs(str(track))
-    view = made.scene("banana").views[0]
-    depth, reference = (read_array(i.path(str(i.scene("banana").geometry)) / f"{view}.npy") for i in (made, known))
+    view = made.scene("bronze_axe").views[0]
+    depth, reference = (read_array(i.path(str(i.scene("bronze_axe").geometry)) / f"{view}.npy") for i in (made, known))
     both = (depth > 0) & (reference[1::2, 1::2] > 0)
-    assert depth.shape == made.size(made.scene("banana")) and both.mean() > 0.1
+    assert depth.shape == made.size(made.scene("bronze_axe")) and both.mean() > 0.1
     assert np.median(np.abs(depth / reference[1::2, 1::2].clip(1e-3) - 1)[both]) < 0.02

@@ -98,6 +98,8 @@ class Glb(Format):
                 if parts
             ]
             asset = document["asset"]
+            if not str(asset["version"]).startswith("2."):
+                raise ValueError(f"it is of glTF {asset['version']}, and 2.0 is read")
             extras = asset["extras"] if isinstance(asset.get("extras"), dict) else {}
             notes = joined_notes(str(asset.get("copyright", "")).splitlines(), extras.get("provenance"))
         alike = tuple(style for style in found if style[1].means.shape == found[-1][1].means.shape)

@@ -44,13 +44,16 @@ def test_splat_transform_sees_the_same_picture(name, tmp_path):
 
 @pytest.mark.parametrize("up", AXES)
 def test_an_asymmetric_scene_stands_upright_and_unmirrored_in_any_axes(up, tmp_path):
-    """The red cloud is right of, above and before the green one, along the axes that a file says."""
+    """The red cloud is right of and above the green one, along the axes that a file says."""
     export(scene(), tmp_path / "scene.ply", "ply", up=up)
     read = Gaussians.load(tmp_path / "scene.ply")
     red = read.harmonics[0, :, 0, 0] > read.harmonics[0, :, 0, 1]
-    x, y, z = (read.means[0, red].mean(0) - read.means[0, ~red].mean(0)).tolist()
-    right, above, before = {"opencv": (x, -y, -z), "y": (x, y, z), "z": (x, z, -y)}[up]
-    assert min(right, above, before) > 0.3
+    right, top, away = (
+        {"opencv": (means[:, 0], -means[:, 1], means[:, 2]), "y": (means[:, 0], means[:, 1], -means[:, 2]),
+         "z": (means[:, 0], means[:, 2], means[:, 1])}[up] for means in [read.means[0]]
+    ).__next__()  # fmt: skip
+    for along, sign in ((right, 1), (top, 1), (away, -1)):
+        assert sign * float(along[red].mean() - along[~red].mean()) > 0.3
     assert psnr(picture(from_axes(up, read)), picture(scene())) > 80
 
 
@@ -124,12 +127,18 @@ def test_three_of_four_components_are_a_rotation():
     np.testing.assert_allclose(np.abs((again * unit.numpy()).sum(1)), 1, atol=1e-6)
 
 
-def test_what_makes_no_sense_is_refused(tmp_path):
+def test_the_command_converts_a_file_and_refuses_what_makes_no_sense(tmp_path, capsys):
     export(scene(), tmp_path / "scene.ply", "ply")
-    for source, out in (("scene.ply", "scene.ply"), ("scene.ply", "scene.xyz"), (".", "scene.glb")):
-        with pytest.raises(UserError):
-            command.export(command.parser().parse_args([str(tmp_path / source), "--out", str(tmp_path / out)]))
+    command.export(command.parser().parse_args([str(tmp_path / "scene.ply"), "--out", str(tmp_path / "scene.glb")]))
+    read = from_axes("y", READERS["glb"](tmp_path / "scene.glb"))
+    assert psnr(picture(read), picture(scene())) > 80
+    assert "scene.glb" in capsys.readouterr().out
+    for words in ([str(tmp_path / "scene.ply"), "--out", str(tmp_path / "scene.ply")],
+                  [str(tmp_path / "scene.ply"), "--out", str(tmp_path / "scene.xyz")],
+                  [str(tmp_path), "--out", str(tmp_path / "scene.glb")]):  # fmt: skip
+        with pytest.raises(ValueError):
+            command.export(command.parser().parse_args(words))
     nothing = replace(scene(), opacities=torch.zeros(1, 400))
-    with pytest.raises(UserError, match="no Gaussians that are visible"):
+    with pytest.raises(ValueError, match="no Gaussians that are visible"):
         export(nothing, tmp_path / "nothing.glb", "glb")
     assert not (tmp_path / "nothing.glb").exists()

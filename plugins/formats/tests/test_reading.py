@@ -74,17 +74,6 @@ def test_files_of_splat_transform_are_read(name, options, tmp_path):
     assert psnr(picture(found), picture(gaussians)) > QUANTISED[name]
 
 
-def unzipped(path):
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
-def zipped(path, members):
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, data in members.items():
-            archive.writestr(name, data)
-
-
 # What other writers of glTF do
 
 
@@ -116,23 +105,31 @@ def test_nodes_move_what_they_hold(tmp_path):
         entry["byteOffset"] += len(binary)
     for entry in other["accessors"]:
         entry["bufferView"] += len(one["bufferViews"])
-    primitive = other["meshes"][0]["primitives"][0]
-    for name in primitive["attributes"]:
-        primitive["attributes"][name] += len(one["accessors"])
+    attributes = other["meshes"][0]["primitives"][0]["attributes"]
+    other["meshes"][0]["primitives"][0]["attributes"] = {
+        name: index + len(one["accessors"]) for name, index in attributes.items()
+    }
     for key in ("bufferViews", "accessors", "meshes"):
         one[key] += other[key]
     # From z up to y up: a quarter turn about x; then the inverse of what was done to the coordinates.
     turn = [-(0.5**0.5), 0, 0, 0.5**0.5]
-    moved = {"mesh": 0, "scale": [0.5] * 3, "translation": [-0.5] * 3}
-    one["nodes"] = [{"children": [1, 2]}, {"rotation": turn, "children": [3]}, {"mesh": 1}, moved]
+    one["nodes"] = [
+        {"children": [1, 2]},
+        {"rotation": turn, "children": [3]},
+        {"mesh": 1},
+        {"mesh": 0, "scale": [0.5, 0.5, 0.5], "translation": [-0.5, -0.5, -0.5]},
+    ]
     one["scenes"] = [{"nodes": [0]}]
     packed_glb(tmp_path / "both.glb", one, binary + more)
     assert psnr(read(tmp_path / "both.glb"), expected) > 60
-    for changed, message in ((moved | {"scale": [0.5, 0.5, 1]}, "unevenly"), ({"children": [0]}, "their own children")):
-        one["nodes"][3] = changed
-        packed_glb(tmp_path / "both.glb", one, binary + more)
-        with pytest.raises(UserError, match=rf"both\.glb is not a readable GLB file .*{message}"):
-            read(tmp_path / "both.glb")
+    one["nodes"][3]["scale"] = [0.5, 0.5, 1]
+    packed_glb(tmp_path / "both.glb", one, binary + more)
+    with pytest.raises(UserError, match=r"both\.glb is not a readable GLB file .* scale unevenly"):
+        read(tmp_path / "both.glb")
+    one["nodes"][3] = {"children": [0]}
+    packed_glb(tmp_path / "both.glb", one, binary + more)
+    with pytest.raises(UserError, match="their own children"):
+        read(tmp_path / "both.glb")
 
 
 def test_normalised_and_interleaved_attributes_are_read(tmp_path):
@@ -149,10 +146,12 @@ def test_normalised_and_interleaved_attributes_are_read(tmp_path):
     document["bufferViews"].append(view)
     index = {"bufferView": len(document["bufferViews"]) - 1, "count": count, "normalized": True}
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
-    document["accessors"].append(index | {"type": "VEC4", "componentType": 5122})
-    document["accessors"].append(index | {"type": "SCALAR", "componentType": 5121, "byteOffset": 8})
-    for name, back in (("ROTATION", 2), ("OPACITY", 1)):
-        attributes[f"{glb.NAME}:{name}"] = len(document["accessors"]) - back
+    for name, more in (
+        ("ROTATION", {"type": "VEC4", "componentType": 5122}),
+        ("OPACITY", {"type": "SCALAR", "componentType": 5121, "byteOffset": 8}),
+    ):
+        document["accessors"].append(index | more)
+        attributes[f"{glb.NAME}:{name}"] = len(document["accessors"]) - 1
     packed_glb(tmp_path / "packed.glb", document, binary + rows.tobytes())
     assert psnr(read(tmp_path / "packed.glb"), picture(gaussians)) > 45
 
@@ -239,7 +238,8 @@ def test_version_1_of_sog_is_read(tmp_path):
     """It has evenly spaced levels, logits of opacity, and no number of Gaussians but a shape."""
     gaussians = scene(4)
     export(gaussians, tmp_path / "new.sog", "sog")
-    members = unzipped(tmp_path / "new.sog")
+    with zipfile.ZipFile(tmp_path / "new.sog") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
     meta = json.loads(members["meta.json"])
 
     def pixels(name):
@@ -269,7 +269,10 @@ def test_version_1_of_sog_is_read(tmp_path):
         "means": meta["means"] | {"shape": [400, 3]}, "quats": meta["quats"], "scales": old_scales, "sh0": old_color,
         "shN": {"mins": -1.0, "maxs": 1.0, "files": meta["shN"]["files"]},
     }  # fmt: skip
-    zipped(tmp_path / "old.sog", members | {"meta.json": json.dumps(meta).encode()})
+    members["meta.json"] = json.dumps(meta).encode()
+    with zipfile.ZipFile(tmp_path / "old.sog", "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
     assert psnr(read(tmp_path / "old.sog"), picture(gaussians)) > 34
 
 
@@ -304,16 +307,17 @@ def test_a_ply_header_that_names_the_axis_is_obeyed(said, up, tmp_path):
 # Commands
 
 
-@pytest.mark.parametrize(("name", "other"), [*pairwise((*READ, READ[0]))])
-def test_every_format_is_exported_to_another_and_to_a_page(name, other, tmp_path, capsys):
-    source, gaussians = tmp_path / f"scene.{name}", scene(1)
-    export(gaussians, source, name)
-    for out in (tmp_path / f"theirs.{other}", tmp_path / "theirs.html"):
-        command.export(command.parser().parse_args([str(source), "--out", str(out)]))
-        assert out.name in capsys.readouterr().out
-    assert psnr(read(tmp_path / f"theirs.{other}"), picture(gaussians)) > min(LEAST[name], LEAST[other]) - 2
+def test_every_format_is_exported_to_every_other(tmp_path, capsys):
+    gaussians = scene(1)
+    for name in READ:
+        export(gaussians, tmp_path / f"scene.{name}", name)
+        for other in (*READ, "html"):
+            out = tmp_path / f"from_{name}.{other}"
+            command.export(command.parser().parse_args([str(tmp_path / f"scene.{name}"), "--out", str(out)]))
+            if other != "html":
+                assert psnr(read(out), picture(gaussians)) > min(LEAST[name], LEAST[other]) - 2
     with pytest.raises(UserError, match="written, and not read"):
-        read_saved(out)
+        read_saved(tmp_path / "from_ply.html")
 
 
 def test_stylize_takes_a_file_of_any_format(tmp_path, capsys):
@@ -341,7 +345,7 @@ def test_damaged_files_end_in_one_line(name, tmp_path, caplog):
     export(scene(4, 30), tmp_path / f"scene.{name}", name)
     data, path, draw = (tmp_path / f"scene.{name}").read_bytes(), tmp_path / f"damaged.{name}", random.Random(0)
     refused = 0
-    for number in range(60):
+    for number in range(150):
         changed = bytearray(data[: draw.randrange(len(data))] if number % 3 == 0 else data)
         for _ in range(number % 3 and draw.choice((1, 4, 64))):
             changed[draw.randrange(min(len(changed), draw.choice((64, len(changed)))))] = draw.choice((0, 255, 37))
@@ -355,13 +359,16 @@ def test_damaged_files_end_in_one_line(name, tmp_path, caplog):
         else:
             assert all(bool(tensor.isfinite().all()) for tensor in vars(found.styles[0][1]).values())
             refused += any("left out" in message for message in caplog.messages)  # rows of it, told in a line
-    assert refused >= 20
+    assert refused >= 50
 
 
 @pytest.mark.parametrize(
     ("name", "data"),
     [
-        ("spz", gzip.compress(struct.pack("<IIIBBBB64x", 0x5053474E, 3, 4_000_000_000, 3, 12, 0, 0), mtime=0)),
+        (
+            "spz",
+            gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 3, 4_000_000_000, 3, 12, 0, 0) + b"\0" * 64, mtime=0),
+        ),
         ("spz", struct.pack("<IIIBBBBI12xQQ", 0x5053474E, 4, 9, 0, 12, 0, 1, 32, 99, 1 << 60) + b"\0" * 99),
         ("splat", b"\0" * 31),
         ("splat", b""),
@@ -377,10 +384,13 @@ def test_headers_that_promise_too_much_are_refused(name, data, tmp_path):
 
 def test_a_sog_of_vast_images_is_refused(tmp_path):
     export(scene(1), tmp_path / "scene.sog", "sog")
-    members = unzipped(tmp_path / "scene.sog")
+    with zipfile.ZipFile(tmp_path / "scene.sog") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
     for count in (10**12, 100_000):
         meta = json.loads(members["meta.json"]) | {"count": count}
-        zipped(tmp_path / "vast.sog", members | {"meta.json": json.dumps(meta).encode()})
+        with zipfile.ZipFile(tmp_path / "vast.sog", "w") as archive:
+            for name, data in (members | {"meta.json": json.dumps(meta).encode()}).items():
+                archive.writestr(name, data)
         with pytest.raises(UserError, match=r"vast\.sog"):
             read_saved(tmp_path / "vast.sog")
 

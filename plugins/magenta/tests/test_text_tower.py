@@ -7,19 +7,16 @@ import torch
 import torch.nn.functional as F
 
 import anystyle
-from anystyle.data.style_folder import FolderStyles
 from anystyle.nn.words import clean
 from anystyle_magenta import MagentaEncoder
 from anystyle_magenta.networks import TextTower
 from anystyle_magenta.style_encoder import FILE
 from anystyle_magenta.training import CaptionBatches, recall
-from anystyle_tiny.captioned import CaptionedPictures
 from anystyle_tiny.procedural.captions import COLORS, DIRECTIONS, MEDIA, SCALES, WORDS, describe
 from anystyle_tiny.procedural.layout import Draw
 from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, appearances, draw_phrase
-from anystyle_tiny.procedural.scenes import ProceduralScenes
-from anystyle_tiny.procedural.styles import DIRECTED, ProceduralStyles
+from anystyle_tiny.procedural.styles import DIRECTED
 
 NUM_CAPTIONS = 128
 
@@ -29,9 +26,13 @@ def encoder():
     return MagentaEncoder().requires_grad_(False).eval()
 
 
+def _plugin(kind: str, name: str):
+    return anystyle.catalog().find(kind, name).load()
+
+
 @pytest.mark.slow
 def test_captions_find_their_pictures_among_128(encoder):
-    styles = ProceduralStyles(split="heldout", size=256, num_styles=NUM_CAPTIONS)
+    styles = _plugin("styles", "procedural")(split="heldout", size=256, num_styles=NUM_CAPTIONS)
     rows = [styles.read(index) for index in range(NUM_CAPTIONS)]
     pictures = torch.cat([encoder.embed_images(row.image) for row in rows])
     captions = encoder.embed_texts([row.text[0] for row in rows])
@@ -39,8 +40,9 @@ def test_captions_find_their_pictures_among_128(encoder):
     assert float(recall(captions, pictures, 5)) >= 0.9
 
 
-def test_a_tower_learns_captions_by_heart(encoder):
-    styles = CaptionedPictures(size=32, num_styles=8)
+def test_a_tower_learns_captions_by_heart():
+    styles = _plugin("styles", "captioned")(size=32, num_styles=8)
+    encoder = MagentaEncoder().requires_grad_(False).eval()
     batches = CaptionBatches(styles, encoder, seed=0, batch_size=8, pool=None)
     batch = batches.batch(0)
     assert sorted(batch.texts) == sorted(styles.read(index).text[0] for index in range(8))
@@ -57,9 +59,11 @@ def test_a_tower_learns_captions_by_heart(encoder):
     assert float(recall(tower(batch.texts), batch.vectors, 1)) == 1
 
 
-def test_pictures_without_captions_teach_nothing(tmp_path, encoder):
-    styles = FolderStyles(**FolderStyles.example(tmp_path))
-    batches = CaptionBatches(styles, encoder, seed=0, batch_size=2, pool=None)
+def test_pictures_without_captions_teach_nothing(tmp_path):
+    folder = _plugin("styles", "folder")
+    (tmp_path / "pictures").mkdir()
+    options = folder.example(tmp_path / "pictures")
+    batches = CaptionBatches(folder(**options), MagentaEncoder(), seed=0, batch_size=2, pool=None)
     with pytest.raises(ValueError, match=r"style 1 lacks a picture or a caption; use styles=captioned"):
         batches.batch(0)
 
@@ -105,12 +109,12 @@ def descriptions(num_captions: int = 500) -> tuple[str, ...]:
 def test_the_known_descriptions_are_those_of_the_training_captions():
     assert tuple(FILE.read_text().splitlines()) == descriptions()
     words = {word for text in descriptions() for word in clean(text)}
-    source = CaptionedPictures(size=8, num_styles=150)
-    assert {word for index in range(150) for word in clean(source.read(index).text[0])} <= words
+    source = _plugin("styles", "captioned")(size=8, num_styles=600)
+    assert {word for index in range(600) for word in clean(source.read(index).text[0])} <= words
 
 
 def test_the_report_says_what_was_made_of_a_text(tmp_path, caplog):
-    views = ProceduralScenes(split="heldout", size=28).read(11, [0, 1])
+    views = _plugin("scenes", "procedural")(split="heldout", size=56).read(11, [0, 1])
     with caplog.at_level("WARNING"):
         (result,) = anystyle.stylize(views, "blue flubber swirls", video={"frames": 2})
     assert "never learnt: flubber" in caplog.text

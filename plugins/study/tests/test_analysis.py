@@ -82,6 +82,7 @@ def test_holm_is_over_the_questions(analysis):
     rows = [question["tests"][1] for question in as_json(analysis)["questions"].values()]
     least = min(rows, key=lambda row: row["pvalue"])
     assert least["pvalue_holm"] == pytest.approx(min(1, 3 * least["pvalue"]), rel=1e-9)
+    assert all(row["pvalue_holm"] >= row["pvalue"] * (1 - 1e-9) for row in rows)
 
 
 def test_the_report_says_what_response_level_tests_do(analysis):

@@ -27,7 +27,7 @@ def test_a_gradient_map_orders_the_palette_by_the_light_of_the_picture():
 def test_phrases_of_a_thing_are_painted_in_its_colours():
     ocean = next(thing for thing in appearances("things") if thing.words[0] == "ocean")
     texts = set()
-    for seed in range(1500):
+    for seed in range(4000):
         text, traits = draw_phrase(Draw((seed,)))
         if text in ocean.words:
             texts.add(text)
@@ -46,8 +46,8 @@ def test_paintings_with_captions_are_split(tmp_path):
     (tmp_path / "captions.jsonl").write_text("\n".join(lines))
 
     def captions(split):
-        source = CaptionedPictures(size=8, num_styles=80, split=split, paintings=str(tmp_path), pictures=1.0)
-        texts = [source.read(index).text[0] for index in range(80)]
+        source = CaptionedPictures(size=8, num_styles=400, split=split, paintings=str(tmp_path))
+        texts = [source.read(index).text[0] for index in range(400)]
         return {text for text in texts if text.startswith("caption")}
 
     assert captions("train") == {"caption 1", "caption 2", "caption 4", "caption 5"}

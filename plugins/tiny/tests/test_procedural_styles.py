@@ -9,6 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from anystyle.contracts import StyleSource
+from anystyle.errors import UserError
+from anystyle.registry.build import build
 from anystyle_tiny.procedural.captions import COLORS, MEDIA, SCALES, WORDS
 from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS, PRINT
 from anystyle_tiny.procedural.styles import ProceduralStyles, is_held_out
@@ -17,7 +20,7 @@ from anystyle_tiny.procedural.styles import ProceduralStyles, is_held_out
 def test_combinations_of_the_splits_are_disjoint():
     def combinations(split):
         source = ProceduralStyles(size=8, split=split)
-        return {(traits.pattern, frozenset(traits.colors)) for traits in map(source.traits, range(300))}
+        return {(traits.pattern, frozenset(traits.colors)) for traits in map(source.traits, range(500))}
 
     train, validation, heldout = (combinations(split) for split in ("train", "validation", "heldout"))
     assert not heldout & (train | validation)
@@ -49,7 +52,7 @@ def test_a_caption_names_the_colours_and_the_pattern_and_no_other(style, split, 
 def test_the_palette_is_what_is_painted():
     """In a crisp print, most pixels lie near a straight line between two colours of the palette or are its shades."""
     source = ProceduralStyles(size=48)
-    for style in range(60):
+    for style in range(120):
         traits = source.traits(style)
         if traits.brushwork != PRINT:
             continue
@@ -65,7 +68,7 @@ def test_scales_change_the_grain():
     """A finer scale has more of its power at high frequencies, whatever the pattern."""
     source = ProceduralStyles(size=48)
     edges = {scale: [] for scale in range(len(SCALES))}
-    for style in range(200):
+    for style in range(300):
         traits = source.traits(style)
         if PATTERNS[traits.pattern] in ("plain", "wash"):
             continue
@@ -73,6 +76,14 @@ def test_scales_change_the_grain():
         edges[traits.scale].append((image.diff(dim=-1).abs().mean() / image.std().clamp_min(0.01)).item())
     fine, medium, coarse = (np.mean(edges[scale]) for scale in range(3))
     assert fine > 1.15 * medium > 1.15**2 * coarse
+
+
+@pytest.mark.parametrize(
+    "options", [{"size": 4}, {"num_styles": 0}, {"max_colors": 4}, {"seed": -1}], ids=lambda o: next(iter(o))
+)
+def test_options_out_of_range_are_refused(options):
+    with pytest.raises(UserError, match=next(iter(options))):
+        build(StyleSource, {"_target_": f"{ProceduralStyles.__module__}.ProceduralStyles", **options})
 
 
 def test_a_style_that_is_not_there_is_refused():

@@ -6,8 +6,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import chain, count, groupby
-from operator import attrgetter
+from itertools import chain, count
 from typing import Any
 
 import torch
@@ -71,8 +70,10 @@ def judge_pairing(
     notes = [*pairing.notes, *filter(None, [pairing.lacking()])]
     for note in notes:
         log.warning("%s", note)
-    by_scene = groupby(pairing.cells, attrgetter("scene"))
-    scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in by_scene}
+    by_scene: dict[str, list[StylizedImages]] = {}
+    for cell in pairing.cells:
+        by_scene.setdefault(cell.scene, []).append(cell)
+    scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in by_scene.items()}
     on_progress(Progress.count(stage, total, total))
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
     rows = {(row.scene, row.style): row for row in evaluation.rows}

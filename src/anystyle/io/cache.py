@@ -19,8 +19,10 @@ class LRUCache(Generic[K, V]):
     """
 
     def __init__(self, limit: int, size: Callable[[V], int] | None = None) -> None:
-        self.limit, self._size, self._lock = limit, size, Lock()
+        self.limit, self._size = limit, size
         self._values: OrderedDict[K, V] = OrderedDict()
+        self._lock = Lock()
+        self._total = 0
 
     def __len__(self) -> int:
         return len(self._values)
@@ -34,13 +36,14 @@ class LRUCache(Generic[K, V]):
             return self._values[key]
 
     def __setitem__(self, key: K, value: V) -> None:
+        measure = self._size or (lambda _: 1)
         with self._lock:
+            if key in self._values:
+                self._total -= measure(self._values.pop(key))
             self._values[key] = value
-            self._values.move_to_end(key)
-            total = sum(map(self._size, self._values.values())) if self._size else len(self._values)
-            while total > self.limit:
-                _, oldest = self._values.popitem(last=False)
-                total -= self._size(oldest) if self._size else 1
+            self._total += measure(value)
+            while self._total > self.limit:
+                self._total -= measure(self._values.popitem(last=False)[1])
 
     def get(self, key: K, compute: Callable[[], V]) -> V:
         """The value of ``key``, cached or computed; several threads may compute it at once."""
@@ -51,7 +54,9 @@ class LRUCache(Generic[K, V]):
 
     def clear(self) -> None:
         """Remove everything."""
-        self._values.clear()
+        with self._lock:
+            self._values.clear()
+            self._total = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.limit, self._size)

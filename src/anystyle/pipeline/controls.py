@@ -102,7 +102,7 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
     if unstyled.means.shape != styled.means.shape:
         raise UserError(f"{unstyled.means.shape[1]} and {styled.means.shape[1]} Gaussians are not of one scene")
     degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
-    amount = torch.ones_like(styled.opacities) * weights
+    amount = torch.ones_like(styled.opacities) * torch.as_tensor(weights).to(styled.means)
 
     def between(name: str) -> Tensor:
         start, end = getattr(unstyled, name), getattr(styled, name)

@@ -6,6 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -177,7 +178,7 @@ class Results:
             "weights": model.weights,
             "seed": request.seed,
             "config": without_folders(request.config),
-            "request": _again(request, model),
+            "request": recorded_args(request) if model.named else None,
         }
         self.video = film(request.config.video, self._render_until_given_up)
         self.given_up = False
@@ -308,9 +309,15 @@ def _technical(report: dict[str, Any]) -> dict[str, object]:
     return kept | {"reconstruction": reconstruction, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
 
 
-def _again(request: Request, model: LoadedModel) -> list[str] | None:
-    """The arguments that make a result again, with the names of absolute paths; ``None`` if something was in memory."""
+def recorded_args(request: Request) -> list[str] | None:
+    """The arguments that make a result again, with the names of absolute paths; ``None`` if something is in memory."""
     try:
-        return [re.sub(r"(^|=)/(?:.*/)?([^/]+)$", r"\1\2", word) for word in request.args()] if model.named else None
+        args = request.args()
     except UserError:
         return None
+    named: list[str] = []
+    for before, word in pairwise(["", *args]):
+        # A text may look like a path; the place after its @ is one.
+        start = "@" if "--text" in (before, word.partition("=")[0]) else "^|=|@"
+        named.append(re.sub(f"({start})/(?:[^@]*/)?(?=[^/@])", r"\1", word))
+    return named

@@ -98,7 +98,8 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
 
     Middle and radius are medians weighted by opacity, so that a few floaters far away move neither.
     """
-    means, weights = gaussians.means[0], gaussians.opacities[0].double().cpu().numpy()
+    # A scene of which nothing is seen has a middle, too.
+    means, weights = gaussians.means[0], gaussians.opacities[0].double().clamp_min(1e-12).cpu().numpy()
 
     def quantile(values: Tensor, fraction: float) -> Tensor:
         data = values.cpu().numpy()

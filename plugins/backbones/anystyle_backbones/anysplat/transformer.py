@@ -131,12 +131,13 @@ class Aggregator(contracts.Aggregator):
         places = grid_positions(stem.grid, stem.special)
         within = rotary(places, self.head_dim, base=self.rope_base, like=stem.data)
         apply = partial(run, recompute=self.checkpointing and self.training)
+        across = within.repeat(views)
         features: dict[int, Tokens] = {}
         tokens = stem
         for layer, (frame_block, global_block) in enumerate(zip(self.frame_blocks, self.global_blocks, strict=True)):
             tokens = inject(f"aggregator/{layer}", tokens)
             framed = apply(frame_block, tokens.data.flatten(0, 1), within).unflatten(0, (batch, views))  # B V P C
-            joint = apply(global_block, framed.flatten(1, 2), within.repeat(views))  # B VP C
+            joint = apply(global_block, framed.flatten(1, 2), across)  # B VP C
             tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
             if layer in self.taps:
                 features[layer] = tokens.with_data(torch.cat([framed, tokens.data], dim=-1))

@@ -52,3 +52,18 @@ def test_points_that_are_no_numbers_are_refused(bad: float) -> None:
     places[0, 1, 2] = bad
     with pytest.raises(ValueError, match="have diverged"):
         voxel_clusters(places, torch.zeros(1, 2), 0.1)
+
+
+def test_scenes_of_a_batch_do_not_mix_and_are_padded() -> None:
+    many, few = points(4, 1, 64), points(5, 1, 64, half=0.2)
+    logits, values = hashed(6, (2, 64), -1, 1), hashed(7, (2, 64, 2))
+    both = voxel_clusters(torch.cat([many, few]), logits, 0.3)
+    fused = fuse(values, both)
+    assert both.valid.sum(1)[0] > both.valid.sum(1)[1]
+    for scene, places in enumerate((many, few)):
+        alone = voxel_clusters(places, logits[scene : scene + 1], 0.3)
+        count = alone.means.shape[1]
+        assert both.valid[scene].tolist() == [place < count for place in range(both.valid.shape[1])]
+        assert torch.equal(both.means[scene, :count], alone.means[0])
+        assert torch.equal(fused[scene, :count], fuse(values[scene : scene + 1], alone)[0])
+        assert not fused[scene, count:].any() and not both.means[scene, count:].any()

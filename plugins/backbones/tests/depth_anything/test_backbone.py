@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from anystyle.types import Tokens
+from anystyle.types import Tokens, Views
 from anystyle_backbones.depth_anything import DepthAnything
 from tests.support.backbone_cases import network, same, views
 from tests.support.oracle import hashed
@@ -60,6 +60,16 @@ class TestOrder:
         same(one.geometry.depth[:, order], other.geometry.depth, rtol=1e-3, atol=1e-4)
         same(one.attributes.color[:, order], other.attributes.color, rtol=1e-3, atol=1e-4)
         same(one.cameras.world_from_camera[:, order], other.cameras.world_from_camera, rtol=1e-3, atol=1e-4)
+
+    def test_scenes_of_a_batch_choose_by_themselves(self, backbone: DepthAnything) -> None:
+        both = views(4, scenes=2)
+        with torch.no_grad():
+            scenes = backbone.encode(both)
+            for row in range(2):
+                alone = backbone.encode(Views(both.images[row : row + 1]))
+                assert scenes.stem.reference is not None and alone.stem.reference is not None
+                assert scenes.stem.reference[row] == alone.stem.reference[0]
+                same(scenes.attributes.map(lambda t, row=row: t[row : row + 1]), alone.attributes, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize(

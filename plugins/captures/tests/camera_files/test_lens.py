@@ -37,7 +37,8 @@ def test_rays_are_seen_where_colmap_sees_them(model, lens, terms):
 
 
 @pytest.mark.parametrize("lens", [BROWN, WIDE, ROUND])
-def test_an_undistorted_photograph_is_filled_and_loses_no_more_than_it_must(lens):
+def test_a_photograph_is_undistorted_and_filled(lens):
+    """Of a photograph whose colours are the rays of its pixels, the undistorted one shows a pinhole camera's."""
     undistortion = lens.undistortion()
     grid = lens._grid(241)
     border = torch.cat([grid[0], grid[-1], grid[:, 0], grid[:, -1]]).numpy()
@@ -46,6 +47,22 @@ def test_an_undistorted_photograph_is_filled_and_loses_no_more_than_it_must(lens
     assert seen.min() > -0.01 and (seen < np.array([640, 480]) + 0.01).all()  # nothing is invented
     edges = np.minimum(seen, np.array([640, 480]) - seen).min(axis=1)
     assert edges.min() < 2  # and no more is cut than must be
+
+    # Newton's method inverts the lens, pixel by pixel of a copy of a quarter of the size.
+    v, u = torch.meshgrid(torch.arange(120) + 0.5, torch.arange(160) + 0.5, indexing="ij")
+    pixels = 4 * torch.stack([u, v], -1).double().reshape(-1, 2)
+    found = (pixels - pixels.new_tensor(lens.center)) / pixels.new_tensor(lens.focal)
+    for _ in range(30):
+        found = found - (lens.pixels(found) - pixels) / pixels.new_tensor(lens.focal)
+    colours = (127.5 + 100 * found).clamp(0, 255).round().byte().reshape(120, 160, 2).numpy()
+    picture = undistortion.apply(Image.fromarray(np.dstack([colours, colours[..., :1]])))
+    x = (4 * np.arange(160) + 2 - undistortion.intrinsics[0, 2]) / undistortion.intrinsics[0, 0]
+    y = (4 * np.arange(120) + 2 - undistortion.intrinsics[1, 2]) / undistortion.intrinsics[1, 1]
+    shown = np.asarray(picture).astype(float)
+    for channel, wanted in ((0, np.broadcast_to(x, (120, 160))), (1, np.broadcast_to(y[:, None], (120, 160)))):
+        expected = 127.5 + 100 * wanted
+        inside = (expected > 2) & (expected < 253)
+        assert np.abs(shown[..., channel] - expected)[inside].max() < 2.5
 
 
 PARAMETERS = {
