@@ -3,8 +3,6 @@
 A pattern is a function of the position in periods; its edges are as soft as a pixel is wide.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from anystyle.compiled import compiled
@@ -26,22 +24,10 @@ Blend = tuple[int, int, float, float]
 
 
 @compiled
-def _fraction(x: float) -> float:
-    return x - np.floor(x)
-
-
-@compiled
 def _cell(x: float, y: float) -> tuple[int, int, float, float]:
     """The cell of the unit grid that holds a point, and the point relative to the cell's middle."""
     i, j = np.floor(x), np.floor(y)
     return int(i), int(j), x - i - 0.5, y - j - 0.5
-
-
-@compiled
-def _around(x: float, y: float) -> Iterator[tuple[int, int]]:
-    """The cell of the unit grid that holds a point, and its eight neighbours."""
-    for di, dj in np.ndindex(3, 3):
-        yield int(np.floor(x)) + di - 1, int(np.floor(y)) + dj - 1
 
 
 @compiled
@@ -58,7 +44,9 @@ def _pick(i: int, j: int, salt: int, count: int) -> int:
 @compiled
 def _bands(phase: float, foot: float, count: int) -> Blend:
     """Bands of equal width in the order of the palette; at least two."""
-    k, f = int(np.floor(phase)) % count, _fraction(phase)
+    band = np.floor(phase)
+    f = phase - band
+    k = int(band) % count
     # The edge at the upper end belongs to this band and the next one half each.
     return k, (k + 1) % count, 0.5 * cover(f - 1 + 0.5 * foot, foot), 1.0
 
@@ -71,8 +59,10 @@ def _dots(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
 
 @compiled
 def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
+    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, second, ci, cj = 1e9, 1e9, 0, 0
-    for i, j in _around(x, y):
+    for di, dj in np.ndindex(3, 3):
+        i, j = ix + di - 1, iy + dj - 1
         dx, dy = i + 0.15 + 0.7 * chance(i, j, salt) - x, j + 0.15 + 0.7 * chance(i, j, salt + 1) - y
         d = np.sqrt(dx * dx + dy * dy)
         if d < best:
@@ -101,20 +91,25 @@ def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
 def _hatching(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     tone = noise_at(noise, x * 0.09 + salt, y * 0.09, 0.37) + 0.15
     wobble = 0.35 * noise_at(noise, x * 0.2, y * 0.2, 1.7 + salt)
-    line = cover(0.17 + 0.06 * tone - abs(_fraction(y + wobble) - 0.5), foot)
+    f = y + wobble
+    f = f - np.floor(f)
+    line = cover(0.17 + 0.06 * tone - abs(f - 0.5), foot)
     k = 1 + _pick(int(np.floor(y + wobble)), 0, salt, count - 1)
     if tone > -0.05:
-        across = cover(0.16 - abs(_fraction(x * 0.95 + 0.3 * y + wobble) - 0.5), foot)
-        line = max(line, across * min(max((tone + 0.05) * 8, 0.0), 1.0))
+        g = x * 0.95 + 0.3 * y + wobble
+        g = g - np.floor(g)
+        line = max(line, cover(0.16 - abs(g - 0.5), foot) * min(max((tone + 0.05) * 8, 0.0), 1.0))
     return 0, k, line, 1.0
 
 
 @compiled
 def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     """Dabs of paint along a slowly turning field, three layers deep."""
+    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.7
     for layer in range(2):
-        for i, j in _around(x, y):
+        for di, dj in np.ndindex(3, 3):
+            i, j = ix + di - 1, iy + dj - 1
             s = salt + 17 * layer
             rank = chance(i, j, s) + layer
             if rank <= best:
@@ -125,8 +120,8 @@ def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.n
             turn = 1.6 * noise_at(noise, cx * 0.11 + salt, cy * 0.11, 0.5) + 0.12 * chance(i, j, s + 3)
             c, d = sine(6.2831853 * turn + 1.5707963), sine(6.2831853 * turn)
             u, v = c * (x - cx) + d * (y - cy), c * (y - cy) - d * (x - cx)
-            wide = 0.24 + 0.12 * chance(i, j, s + 4)
-            inside = 1.0 - (u * u) / (0.95 * 0.95) - (v * v) / (wide * wide)
+            long_, wide = 0.95, 0.24 + 0.12 * chance(i, j, s + 4)
+            inside = 1.0 - (u * u) / (long_ * long_) - (v * v) / (wide * wide)
             if inside > 0:
                 best, color = rank, _pick(i, j, s + 5, count)
                 bristle = noise_at(noise, u * 0.25 + i, v * 3.0 + j, 0.9)
@@ -140,8 +135,10 @@ def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.nd
     """Strokes that curl around vortices."""
     x += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 0.1)
     y += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 2.1)
+    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, rx, ry, ci, cj = 1e9, 0.0, 0.0, 0, 0
-    for i, j in _around(x, y):
+    for di, dj in np.ndindex(3, 3):
+        i, j = ix + di - 1, iy + dj - 1
         dx, dy = x - i - 0.2 - 0.6 * chance(i, j, salt), y - j - 0.2 - 0.6 * chance(i, j, salt + 1)
         d = dx * dx + dy * dy
         if d < best:
@@ -149,7 +146,9 @@ def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.nd
     r = np.sqrt(best)
     spin = 1.0 if chance(ci, cj, salt + 2) < 0.5 else -1.0
     phase = r * 5.0 + spin * turns(ry, rx) * 2.0 * ((count + 1) // 2)
-    k, f = int(np.floor(phase) + 64 * count) % count, _fraction(phase)
+    band = np.floor(phase)
+    k = int(band + 64 * count) % count
+    f = phase - band
     shade = 0.8 + 0.28 * (1.0 - abs(2.0 * f - 1.0)) + 0.25 * noise_at(noise, phase * 0.9, r * 2.0, 0.3 * ci)
     return k, k, 0.0, shade
 
@@ -161,7 +160,9 @@ def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.
     for level in range(3):
         s = 1.0 + 1.2 * level * level
         px, py = x * s, y * s
-        for i, j in _around(px, py):
+        ix, iy = int(np.floor(px)), int(np.floor(py))
+        for di, dj in np.ndindex(3, 3):
+            i, j = ix + di - 1, iy + dj - 1
             if chance(i, j, salt + level) > 0.7:
                 continue
             dx, dy = px - i - chance(i, j, salt + 11 + level), py - j - chance(i, j, salt + 23 + level)
@@ -182,8 +183,10 @@ def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.
 @compiled
 def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     """Triangles, bars and disks over each other, each of one flat colour."""
+    ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.9
-    for i, j in _around(x, y):
+    for di, dj in np.ndindex(3, 3):
+        i, j = ix + di - 1, iy + dj - 1
         for k in range(2):
             s = salt + 13 * k
             rank = chance(i, j, s)
@@ -193,9 +196,14 @@ def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
             turn = 6.2831853 * chance(i, j, s + 3)
             c, d = sine(turn + 1.5707963), sine(turn)
             u, v = c * dx + d * dy, c * dy - d * dx
-            triangle = max(max(u * 0.866 + v * 0.5, -u * 0.866 + v * 0.5), -v) < 0.3
-            bar = abs(u) < 0.75 and abs(v) < 0.22
-            if (triangle, bar, u * u + v * v < 0.2)[_pick(i, j, s + 4, 3)]:
+            kind = _pick(i, j, s + 4, 3)
+            if kind == 0:
+                inside = max(max(u * 0.866 + v * 0.5, -u * 0.866 + v * 0.5), -v) < 0.3
+            elif kind == 1:
+                inside = abs(u) < 0.75 and abs(v) < 0.22
+            else:
+                inside = u * u + v * v < 0.2
+            if inside:
                 best, color = rank, _pick(i, j, s + 5, count)
                 shade = 0.8 + 0.35 * chance(i, j, s + 6)
     return color, color, 0.0, shade
@@ -236,7 +244,8 @@ def _wash(x: float, y: float, count: int, salt: int, noise: np.ndarray) -> Blend
     """Colours that run into each other."""
     t = 0.55 * y + 0.9 * rough(noise, x * 0.35 + 0.1 * salt, y * 0.35, 0.2, 1.0) + 0.5
     t = min(max(t * 0.75, 0.0), 0.9999) * (count - 1)
-    k, f = int(t), t - int(t)
+    k = int(t)
+    f = t - k
     return k, k + 1, f * f * (3 - 2 * f), 1.0
 
 
@@ -253,8 +262,10 @@ def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int
     if kind == MOSAIC:
         return _mosaic(x, y, foot, count, salt)
     if kind == CHECKER:
-        i, j, _, _ = _cell(x, y)
-        k = 1 + _pick(i, j, salt, count - 1) if (i + j) % 2 else 0
+        i, j = int(np.floor(x)), int(np.floor(y))
+        k = (i + j) % 2
+        if k == 1 and count > 2:
+            k = 1 + _pick(i, j, salt, count - 1)
         return k, k, 0.0, 1.0
     if kind == BRICKS:
         return _bricks(x, y, foot, count, salt)
@@ -267,7 +278,8 @@ def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int
     if kind == WAVES:
         return _bands(2.0 * y + 0.9 * sine(x * 2.9), 2.4 * foot, count)
     if kind == ZIGZAG:
-        return _bands(2.0 * y + 1.6 * abs(_fraction(x * 0.9) - 0.5), 2.6 * foot, count)
+        f = x * 0.9 - np.floor(x * 0.9)
+        return _bands(2.0 * y + 1.6 * abs(f - 0.5), 2.6 * foot, count)
     if kind == SPLATTER:
         return _splatter(x, y, foot, count, salt, noise)
     if kind == WASH:
@@ -288,7 +300,7 @@ def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int
         c, d, n, _ = _bands(y * 2.0, 2.0 * foot, count)
         # Threads of the two directions lie over each other in turn.
         over = int(np.floor(x * 24.0) + np.floor(y * 24.0)) & 1
-        thin = cover(0.06 - abs(_fraction(x) - 0.25), foot) + cover(0.06 - abs(_fraction(y) - 0.25), foot)
+        thin = cover(0.06 - abs(x - np.floor(x) - 0.25), foot) + cover(0.06 - abs(y - np.floor(y) - 0.25), foot)
         shade = 1.0 - 0.35 * min(thin, 1.0)
         return (a, b, m, shade) if over else (c, d, n, shade)
     if kind == POINTS:
@@ -333,32 +345,36 @@ def paint(
     bytes_: np.ndarray,
     image: np.ndarray,
 ) -> None:
-    """Fill ``image`` (H W 3, sRGB, not clipped) with a pattern in a palette, painted in one of BRUSHWORK."""
-    (height, width), count = image.shape[:2], len(palette)
+    """Fill ``image`` (H W 3, sRGB in [0, 1]) with a pattern in a palette, painted in one of BRUSHWORK."""
+    height, width = image.shape[0], image.shape[1]
+    count = len(palette)
     foot = 0.7 * frequency / height
     hand = 0.0 if brush == PRINT else 0.11
-    for row, column in np.ndindex(height, width):
-        red, green, blue, taken, contrast = 0.0, 0.0, 0.0, 0, 0.0
-        for sample in range(4):
-            # One diagonal of the pixel first; where it is calm, the other one is not needed.
-            if sample == 2 and contrast < 0.06:
-                break
-            i, j = sample & 1, (sample & 1) ^ (sample >> 1)
-            # Place on the sheet, the height being 4 lattice units of noise.
-            u, v = 4.0 * (column + 0.25 + 0.5 * j) / height, 4.0 * (row + 0.25 + 0.5 * i) / height
-            px, py = (u - 2.0) * frequency * 0.25, (v - 2.0) * frequency * 0.25
-            px, py = turn[0] * px - turn[1] * py + offset[0], turn[1] * px + turn[0] * py + offset[1]
-            u, v = u + 0.37 * salt, v + 0.61 * salt
-            if hand > 0:
-                px += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 0.2)
-                py += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 2.2)
-            a, b, m, shade = pattern_at(kind, px, py, foot, count, salt, bytes_)
-            dark, pale = _brushed(brush, u, v, bytes_)
-            shade *= dark * (1 - pale)
-            r = (palette[a, 0] * (1 - m) + palette[b, 0] * m) * shade + 0.97 * pale
-            g = (palette[a, 1] * (1 - m) + palette[b, 1] * m) * shade + 0.96 * pale
-            c = (palette[a, 2] * (1 - m) + palette[b, 2] * m) * shade + 0.93 * pale
-            if sample == 1:
-                contrast = abs(r - red) + abs(g - green) + abs(c - blue)
-            red, green, blue, taken = red + r, green + g, blue + c, taken + 1
-        image[row, column] = (red / taken, green / taken, blue / taken)
+    for row in range(height):
+        for column in range(width):
+            red, green, blue, taken, contrast = 0.0, 0.0, 0.0, 0, 0.0
+            for sample in range(4):
+                # One diagonal of the pixel first; where it is calm, the other one is not needed.
+                if sample == 2 and contrast < 0.06:
+                    break
+                i, j = sample & 1, (sample & 1) ^ (sample >> 1)
+                # Place on the sheet, the height being 4 lattice units of noise.
+                u, v = 4.0 * (column + 0.25 + 0.5 * j) / height, 4.0 * (row + 0.25 + 0.5 * i) / height
+                px, py = (u - 2.0) * frequency * 0.25, (v - 2.0) * frequency * 0.25
+                px, py = turn[0] * px - turn[1] * py + offset[0], turn[1] * px + turn[0] * py + offset[1]
+                u, v = u + 0.37 * salt, v + 0.61 * salt
+                if hand > 0:
+                    px += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 0.2)
+                    py += hand * noise_at(bytes_, 0.9 * u, 0.9 * v, 2.2)
+                a, b, m, shade = pattern_at(kind, px, py, foot, count, salt, bytes_)
+                dark, pale = _brushed(brush, u, v, bytes_)
+                shade *= dark * (1 - pale)
+                r = (palette[a, 0] * (1 - m) + palette[b, 0] * m) * shade + 0.97 * pale
+                g = (palette[a, 1] * (1 - m) + palette[b, 1] * m) * shade + 0.96 * pale
+                c = (palette[a, 2] * (1 - m) + palette[b, 2] * m) * shade + 0.93 * pale
+                if sample == 1:
+                    contrast = abs(r - red) + abs(g - green) + abs(c - blue)
+                red, green, blue, taken = red + r, green + g, blue + c, taken + 1
+            image[row, column, 0] = min(max(red / taken, 0.0), 1.0)
+            image[row, column, 1] = min(max(green / taken, 0.0), 1.0)
+            image[row, column, 2] = min(max(blue / taken, 0.0), 1.0)

@@ -151,5 +151,5 @@ def paint_style(draw: Draw, traits: StyleTraits, size: int) -> Float[Tensor, "1 
     offset = [0.0, 0.0] if traits.pattern == WASH else [draw.between(0.0, 16.0), draw.between(0.0, 16.0)]
     salt = draw.below(1 << 16)
     paint(traits.pattern, traits.brushwork, frequency, turn, np.array(offset), palette, salt, volumes(), image)
-    levels = torch.from_numpy((image.clip(0, 1) * 255.0 + 0.5).astype(np.uint8))
+    levels = torch.from_numpy((image * 255.0 + 0.5).astype(np.uint8))
     return (levels.permute(2, 0, 1)[None].float() / 255.0).contiguous()
