@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.contracts import Backbone, Injector
+from anystyle.contracts import Backbone, Injector, StylePredictor, style_tokens
 from anystyle.geometry.texturing import single_view_colors
 from anystyle.types import Attributes, Scene, Site, Source, StyleEmbedding, Tokens, contiguous
 
@@ -25,7 +25,7 @@ def sites_of(backbone: Backbone, sh_degree: int = 0) -> tuple[Site, ...]:
     return (*backbone.sites, Site(COLOR, 3 * (sh_degree + 1) ** 2))
 
 
-class StyleBranch(nn.Module):
+class StyleBranch(StylePredictor):
     """Predicts styled attributes for an encoded scene (paper, equations 5 and 6).
 
     The aggregator is copied if one of its sites is chosen, for otherwise its features are those of the scene; the
@@ -92,7 +92,11 @@ class StyleBranch(nn.Module):
         injectors = self._at_scale(embedding.scale)
 
         def inject(site: str, tokens: Tokens) -> Tokens:
-            return injectors[site](tokens, embedding.vector) if site in injectors else tokens
+            if site not in injectors:
+                return tokens
+            injector = injectors[site]
+            reads_tokens = isinstance(injector, Injector) and injector.reads_tokens
+            return injector(tokens, style_tokens(embedding).data[:, 0] if reads_tokens else embedding.vector)
 
         attributes = scene.attributes
         if self.gaussian_head is not None:

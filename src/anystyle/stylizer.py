@@ -10,8 +10,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
-from anystyle.branch import StyleBranch
-from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
+from anystyle.contracts import Backbone, Renderer, StyleEncoder, StylePredictor, neutral_embedding
 from anystyle.data.images import read_image
 from anystyle.errors import UserError
 from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
@@ -37,7 +36,7 @@ class Stylizer(nn.Module):
     """
 
     def __init__(
-        self, *, backbone: Backbone, style_encoder: StyleEncoder, branch: StyleBranch, renderer: Renderer
+        self, *, backbone: Backbone, style_encoder: StyleEncoder, branch: StylePredictor, renderer: Renderer
     ) -> None:
         super().__init__()
         self.backbone = backbone.freeze()
@@ -105,15 +104,15 @@ class Stylizer(nn.Module):
                 image = read_image(image)[None].to(self.device)
             check_tensor(image, Float[Tensor, "B 3 h w"], "the style image")
             self._check_images(image, "style image")
-            vector = self.style_encoder.embed_images(image)
+            vector, tokens = self.style_encoder.embed_images(image), self.style_encoder.embed_tokens(image)
         else:
             given = text if isinstance(text, (list, tuple)) else [text]
             texts = [item for item in given if isinstance(item, str)]
             if not texts or len(texts) < len(given):
                 raise UserError(f"{text!r:.80} is given; a text or a list of texts is expected")
-            vector = self.style_encoder.embed_texts(texts)
+            vector, tokens = self.style_encoder.embed_texts(texts), None
         direction = F.normalize(vector - neutral_embedding(self.style_encoder), dim=-1)
-        return StyleEmbedding(vector=vector, direction=direction)
+        return StyleEmbedding(vector=vector, direction=direction, tokens=tokens)
 
     def restyle(self, scene: Scene, embedding: StyleEmbedding) -> Gaussians:
         """Give an encoded scene a style (paper, equations 5 and 6); several styles of one scene are one batch.

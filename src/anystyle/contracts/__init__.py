@@ -1,7 +1,8 @@
 """The contracts of plugins, one class for each kind; if you read one thing, read this folder, in this order.
 
 1. :mod:`~anystyle.contracts.backbone`: the five parts of a feed-forward reconstruction network
-2. :mod:`~anystyle.contracts.style`: style encoders, and the injectors and placements by which style enters a network
+2. :mod:`~anystyle.contracts.style`: style encoders, the injectors and placements by which style enters a network, and
+   what predicts styled attributes
 3. :mod:`~anystyle.contracts.cameras`: cameras that programs stored for photographs, and cameras that are estimated
 4. :mod:`~anystyle.contracts.scene`: scenes and styles to learn from and to be judged on, reconstructions, methods by
    which a scene takes a style, and renderers
@@ -26,7 +27,14 @@ if TYPE_CHECKING:
     from anystyle.contracts.protocol import Evaluation, Protocol, Row
     from anystyle.contracts.scene import Method, Reconstruction, Renderer, SceneSource, StyleSource
     from anystyle.contracts.scores import Correspondence, Loss, Metric
-    from anystyle.contracts.style import Injector, Placement, StyleEncoder, neutral_embedding
+    from anystyle.contracts.style import (
+        Injector,
+        Placement,
+        StyleEncoder,
+        StylePredictor,
+        neutral_embedding,
+        style_tokens,
+    )
     from anystyle.contracts.training import BatchSource, Training
     from anystyle.registry.pluggable import Pluggable
 
@@ -69,9 +77,11 @@ __all__ = [
     "SceneSource",
     "StoredCamera",
     "StyleEncoder",
+    "StylePredictor",
     "StyleSource",
     "Training",
     "Undistortion",
     "Verdict",
     "neutral_embedding",
+    "style_tokens",
 ]

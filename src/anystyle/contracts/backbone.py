@@ -7,6 +7,7 @@ from typing import ClassVar, final
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.contracts.style import StylePredictor
 from anystyle.errors import UserError
 from anystyle.published import Published
 from anystyle.registry.pluggable import Pluggable
@@ -28,7 +29,12 @@ from anystyle.types import (
 
 
 class Embedder(nn.Module, ABC):
-    """From pixels to the tokens that every later part shares: the stem."""
+    """From pixels to the tokens that every later part shares: the stem.
+
+    One that ``reads_cameras`` takes them as a second argument, ``None`` where they are not known.
+    """
+
+    reads_cameras: ClassVar[bool] = False
 
     @abstractmethod
     def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
@@ -112,12 +118,21 @@ class Backbone(Pluggable, nn.Module, ABC):
         """Compute all that does not depend on style."""
         # A product of a tensor that is not contiguous is rounded in one way with weights that learn, as a style branch
         # has them, and in another with frozen ones.
-        stem = self.embedder(views.images).contiguous()
+        cameras = (views.cameras,) if self.embedder.reads_cameras else ()
+        stem = self.embedder(views.images, *cameras).contiguous()
         features = contiguous(self.aggregator(stem))
         geometry = self.geometry_head(features, views.images)
         attributes = self.gaussian_head(features, views.images)
         clusters = self.adapter.cluster(geometry, attributes)
         return Scene(views, stem, features, geometry, attributes, clusters)
+
+    def make_branch(self) -> StylePredictor | None:
+        """The style branch that it was published with, where style enters by other parts than injectors.
+
+        It holds copies of what the Gaussian head computes unstyled colours with, so that both are the same bits where
+        the style is the one that the head takes for none.
+        """
+        return None
 
     @final
     def load_reference(self, state: Mapping[str, Tensor]) -> None:

@@ -1,7 +1,8 @@
-"""How style is read, and where and how it enters a network."""
+"""How style is read, and where and how it enters a network; what predicts styled attributes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -9,7 +10,7 @@ from torch import Tensor, nn
 
 from anystyle.errors import UserError
 from anystyle.registry.pluggable import Pluggable
-from anystyle.types import Site, Source, TextMatch, Tokens
+from anystyle.types import Attributes, Scene, Site, Source, StyleEmbedding, TextMatch, Tokens
 
 
 class StyleEncoder(Pluggable, nn.Module, ABC):
@@ -39,6 +40,13 @@ class StyleEncoder(Pluggable, nn.Module, ABC):
             ValueError: A text is empty or longer than the encoder reads.
         """
 
+    token_dim: int | None = None
+    """Channels of the tokens of a style image, where it gives them."""
+
+    def embed_tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens | None:
+        """The tokens of sRGB images in [0, 1] of any size, each as one view; ``None`` if it gives vectors alone."""
+        return None
+
     def load_published(self, state: Mapping[str, Tensor]) -> None:
         """Load weights under their publishers' names, strictly; on the meta device it takes the tensors themselves.
 
@@ -56,22 +64,70 @@ class Injector(Pluggable, nn.Module, ABC):
     """How style changes tokens at one site.
 
     The framework passes ``dim`` (channels at the site), ``style_dim`` and the :class:`~anystyle.types.Site` as ``site``
-    to a constructor that names them. At initialisation it is the identity, bit for bit; it is equivariant to the order
-    of views.
+    to a constructor that names them. One that ``reads_tokens`` is given the tokens of a style image in place of its
+    vector, and their channels as ``style_dim``. At initialisation it is the identity, bit for bit; it is equivariant to
+    the order of views.
     """
 
     runtime = ("dim", "style_dim", "site")
+
+    reads_tokens: ClassVar[bool] = False
 
     sources: tuple[Source, ...] = ()
     """The published weights that the constructor filled it with, where it does."""
 
     @abstractmethod
-    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+    def forward(self, tokens: Tokens, style: Float[Tensor, "B *tokens D"]) -> Tokens:
         """Tokens of the same shape, grid and kind."""
 
     def at_scale(self, scale: float) -> "Injector | None":
         """This injector, parameters shared, for strokes ``scale`` times as large; ``None`` if it paints none."""
         return None
+
+
+class StylePredictor(nn.Module, ABC):
+    """Predicts styled attributes for an encoded scene (paper, equations 5 and 6).
+
+    The constructor sets what is declared here. :class:`anystyle.branch.StyleBranch` is the paper's, for any backbone;
+    :meth:`Backbone.make_branch <anystyle.contracts.Backbone.make_branch>` gives the one that a backbone was published
+    with.
+    """
+
+    styled: tuple[str, ...]
+    """The attributes that are taken from it, of ``opacity, scale, rotation, color``."""
+    sh_degree: int
+    """Degree of the styled colours."""
+    aggregator: nn.Module | None
+    """What lets the views of a scene see the style together, if it has such a part."""
+    gaussian_head: nn.Module | None
+    """What predicts attributes from features; ``None`` if it colours pixels alone."""
+    injectors: nn.ModuleDict
+    """The injectors by their sites."""
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The published weights that its parts started from, each once."""
+        return ()
+
+    @property
+    def paints_strokes(self) -> bool:
+        """Whether the scale of an embedding changes what is painted."""
+        return False
+
+    @abstractmethod
+    def forward(self, scene: Scene, embedding: StyleEmbedding) -> Attributes:
+        """The attributes of ``scene`` in each style; scenes and styles are paired row by row.
+
+        Raises:
+            UserError: The embedding lacks the tokens that it reads.
+        """
+
+
+def style_tokens(embedding: StyleEmbedding) -> Tokens:
+    """The tokens of a style; a UserError where it is a text, or its encoder gives vectors alone."""
+    if embedding.tokens is None:
+        raise UserError("this model reads the tokens of a style image; give images, and a style encoder of such tokens")
+    return embedding.tokens
 
 
 class Placement(Pluggable, ABC):

@@ -22,6 +22,7 @@ from anystyle.contracts import (
     Renderer,
     SceneSource,
     StyleEncoder,
+    StylePredictor,
 )
 from anystyle.errors import UserError, did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
@@ -61,18 +62,26 @@ def weights_file(name: object) -> Path:
     return path
 
 
-def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> StyleBranch:
+def make_branch(config: DictConfig, backbone: Backbone, encoder: StyleEncoder) -> StylePredictor:
     """A style branch at initialisation: copies of the backbone's parts, and injectors that are identities."""
     branch = branch_options(config)
+    if branch.published:
+        if (own := backbone.make_branch()) is None:
+            raise UserError(f"branch.published=true: a {type(backbone).__name__} was published without a style branch")
+        return own
     sites = build(Placement, config.placement).select(sites_of(backbone, branch.sh_degree))
     chosen: dict[Site, Any] = dict.fromkeys(sites, config.injector)
     for pattern, other in branch.injectors.items():
         chosen |= dict.fromkeys(matching_sites(sites, [pattern]), choice(Injector, other))
 
     def make_injector(site: Site) -> Injector:
+        injector = catalog().owner("injector", chosen[site]["_target_"]).load()
+        style_dim = encoder.token_dim if issubclass(injector, Injector) and injector.reads_tokens else encoder.dim
+        if style_dim is None:
+            raise UserError(f"{injector.__name__} reads tokens of style images, and this style encoder gives vectors")
         return build(Injector, chosen[site], dim=site.dim, style_dim=style_dim, site=site)
 
-    given = {name: value for name, value in vars(branch).items() if name != "injectors"}
+    given = {name: value for name, value in vars(branch).items() if name not in ("injectors", "published")}
     return StyleBranch(backbone, sites=sites, make_injector=make_injector, **given)
 
 
@@ -283,13 +292,13 @@ def build_and_load(
     whole = "backbone" in published and published_by(config).parts(published["backbone"])["backbone"]
     with _on_meta(whole):
         backbone = build(Backbone, config.backbone)
-        branch = make_branch(config, backbone, encoder.dim) if whole and "branch" in published else None
+        branch = make_branch(config, backbone, encoder) if whole and "branch" in published else None
     if whole:
         # While nothing is in memory: tensors are cast to these types as they come from their file.
         for module in modules_in_bf16(config.precision, backbone, branch):
             module.to(torch.bfloat16)
     fill("backbone", backbone)
-    branch = branch or make_branch(config, backbone, encoder.dim)
+    branch = branch or make_branch(config, backbone, encoder)
     fill("branch", branch)
     renderer = build(Renderer, config.renderer)
     stylizer = Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer)
@@ -327,7 +336,7 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
     )
 
 
-def modules_in_bf16(precision: str, backbone: Backbone, branch: StyleBranch | None = None) -> list[nn.Module]:
+def modules_in_bf16(precision: str, backbone: Backbone, branch: StylePredictor | None = None) -> list[nn.Module]:
     """The modules whose weights a precision stores in bf16; geometry is always computed in fp32.
 
     ``bf16``: the transformers and Gaussian heads, half the memory. ``reference``: as the published code runs on a GPU,

@@ -22,9 +22,11 @@ AXES = ("opencv", "y", "z")
 
 @dataclass(frozen=True)
 class BranchOptions:
-    """What the style branch predicts; :class:`anystyle.branch.StyleBranch` documents each option but the last.
+    """What the style branch predicts; :class:`anystyle.branch.StyleBranch` documents each option but the last two.
 
     Args:
+        published: Whether it is the branch that the backbone was published with, which fixes all other options, in
+            place of copies with injectors.
         injectors: Other injectors than ``injector``, by patterns of sites, such as ``{aggregator/*: film, head/direct:
             {lora: {rank: 4}}}``; where several patterns match a site, the last one's.
     """
@@ -32,6 +34,7 @@ class BranchOptions:
     styled: list[str] = field(default_factory=lambda: ["rotation", "color"])
     sh_degree: Annotated[int, Range(ge=0, le=4)] = 0
     single_view: bool = False
+    published: bool = False
     injectors: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -13,13 +13,13 @@ from anystyle.io.checkpoint import load_strictly
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
-from anystyle.testing.inputs import noise, views
+from anystyle.testing.inputs import generator, noise, views
 from anystyle.testing.subject import Subject, subject
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.injector import ToyInjector
 from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
-from anystyle.types import Scene, Site
+from anystyle.types import Scene, Site, StyleEmbedding, Tokens
 
 TEXTS = ["deep red", "blue and white"]
 
@@ -59,12 +59,17 @@ class Composition:
         branch = StyleBranch(backbone, sites=self.sites, make_injector=make_injector, styled=styled)
         return Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=ToyRenderer()).eval()
 
+    def embed(self, stylizer: Stylizer, *texts: str) -> StyleEmbedding:
+        """Texts as an embedding, with the tokens that an image might have."""
+        rows = [torch.randn(1, 1, 6, stylizer.style_encoder.dim, generator=generator(len(text))) for text in texts]
+        return replace(stylizer.embed(text=texts), tokens=Tokens(torch.cat(rows), grid=(2, 3)))
+
     @cached_property
     @torch.enable_grad()
     def trained(self) -> Stylizer:
         """A stylizer after one step towards random Gaussians, with the gradients of the second."""
         stylizer = self.stylizer(ATTRIBUTES)
-        embedding = stylizer.embed(text=TEXTS)
+        embedding = self.embed(stylizer, *TEXTS)
         optimizer = torch.optim.Adam(stylizer.branch.parameters(), lr=1e-2)
         for step in range(2):
             optimizer.zero_grad()
@@ -98,7 +103,7 @@ def test_nothing_changes_at_initialisation(composition: Composition) -> None:
     """Before any training the stylized scene is the unstyled one, bit for bit, whichever attributes are styled."""
     for styled in (("rotation", "color"), ATTRIBUTES):
         stylizer, what = composition.stylizer(styled), f"Gaussians of an untrained branch for {', '.join(styled)}"
-        result = stylizer.restyle(composition.scene, stylizer.embed(text=TEXTS[0]))
+        result = stylizer.restyle(composition.scene, composition.embed(stylizer, TEXTS[0]))
         asserts.same(result, stylizer.unstyled(composition.scene), what)
 
 
@@ -120,12 +125,14 @@ def test_the_backbone_does_not_learn(composition: Composition) -> None:
 @torch.no_grad()
 def test_what_is_not_styled_stays(composition: Composition) -> None:
     """After training, two styles give two scenes; with colour styled alone, the rest stays the same bits."""
-    one, other = (composition.trained.restyle(composition.scene, composition.trained.embed(text=t)) for t in TEXTS)
+    one, other = (
+        composition.trained.restyle(composition.scene, composition.embed(composition.trained, t)) for t in TEXTS
+    )
     differ = any(not torch.equal(tensor, getattr(other, name)) for name, tensor in vars(one).items())
     assert differ, "the same Gaussians for two styles"
     stylizer = composition.stylizer()
     stylizer.branch.load_state_dict(composition.trained.branch.state_dict())
-    styled = stylizer.restyle(composition.scene, stylizer.embed(text=TEXTS[0]))
+    styled = stylizer.restyle(composition.scene, composition.embed(stylizer, TEXTS[0]))
     unstyled = stylizer.unstyled(composition.scene)
     for name in ("means", "scales", "opacities"):
         asserts.same(getattr(styled, name), getattr(unstyled, name), f"`{name}` where rotation and colour are styled")
@@ -135,8 +142,8 @@ def test_what_is_not_styled_stays(composition: Composition) -> None:
 def test_encoding_once_is_the_single_pass(composition: Composition) -> None:
     """Restyling an encoded scene, after other styles too, gives the bits of the single pass; the scene stays."""
     stylizer, scene = composition.trained, composition.scene
-    before, embedding = scene.map(Tensor.clone), stylizer.embed(text=TEXTS[0])
-    stylizer.restyle(scene, stylizer.embed(text=TEXTS[1]))
+    before, embedding = scene.map(Tensor.clone), composition.embed(stylizer, TEXTS[0])
+    stylizer.restyle(scene, composition.embed(stylizer, TEXTS[1]))
     asserts.same(stylizer.restyle(scene, embedding), stylizer(scene.views, embedding), "an encoded scene, restyled")
     asserts.same(scene, before, "the scene after restyling")
 
@@ -145,7 +152,7 @@ def test_encoding_once_is_the_single_pass(composition: Composition) -> None:
 def test_many_styles_are_one_batch(composition: Composition) -> None:
     """Many styles of one scene, or one style each of many scenes, give what one by one gives."""
     stylizer, scene = composition.trained, composition.scene
-    embedding = stylizer.embed(text=TEXTS)
+    embedding = composition.embed(stylizer, *TEXTS)
     for what, scenes in (("two styles of one scene", scene), ("two scenes", scene.expand(2))):
         together = stylizer.restyle(scenes, embedding)
         for row in range(2):
@@ -161,6 +168,6 @@ def test_weights_can_be_loaded(composition: Composition) -> None:
         assert any(key.startswith(f"injectors.{site.name}.") for key in state), f"no weights name the site {site.name}"
     fresh = composition.stylizer(ATTRIBUTES, seed=1)
     load_strictly(fresh.branch, state, source="a trained branch")
-    embedding = fresh.embed(text=TEXTS[0])
+    embedding = composition.embed(fresh, TEXTS[0])
     ours, theirs = (each.restyle(composition.scene, embedding) for each in (fresh, composition.trained))
     asserts.same(ours, theirs, "Gaussians after loading the weights into a new branch")

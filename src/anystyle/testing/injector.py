@@ -22,7 +22,10 @@ def test_changes_nothing_at_initialisation(plugin: Subject[Injector]) -> None:
         injector = plugin.build(seed, dim=dim, style_dim=STYLE_DIM, site=Site("head/tokens", dim))
         for special, (rows, columns), number in ((0, (3, 5), 2), (5, (4, 4), 1)):
             tokens = _tokens(2, number, (rows, columns), special, dim)
-            result, what = injector(tokens, _style(2)), f"tokens after an untrained injector ({special} special tokens)"
+            result, what = (
+                injector(tokens, _style(plugin, 2)),
+                f"tokens after an untrained injector ({special} special tokens)",
+            )
             check_value(result, Tokens, what, B=2, V=number, P=tokens.data.shape[2], C=dim)
             asserts.same(result.data, tokens.data, what)
             kept = (result.grid, result.special, result.data.dtype) == (tokens.grid, special, tokens.data.dtype)
@@ -42,7 +45,7 @@ def test_style_matters_after_training(plugin: Subject[Injector]) -> None:
     """After training, two styles change the same tokens differently, and finitely; the tokens that came in stay."""
     tokens = _tokens(1, 2, (3, 5), 5)
     before = tokens.data.clone()
-    one, other = (_trained(plugin)(tokens, _style(1, seed)) for seed in (1, 2))
+    one, other = (_trained(plugin)(tokens, _style(plugin, 1, seed)) for seed in (1, 2))
     asserts.finite(one, "tokens after training")
     assert not torch.equal(one.data, other.data), "the same tokens in two styles"
     asserts.same(tokens.data, before, "the tokens that came in")
@@ -51,7 +54,7 @@ def test_style_matters_after_training(plugin: Subject[Injector]) -> None:
 @torch.no_grad()
 def test_styles_of_a_batch_stay_apart(plugin: Subject[Injector]) -> None:
     """Each row of a batch gets its own style: a batch gives what its rows give alone."""
-    tokens, style = _tokens(3, 2, (3, 5), 5), _style(3)
+    tokens, style = _tokens(3, 2, (3, 5), 5), _style(plugin, 3)
     together = _trained(plugin)(tokens, style).data
     for row in range(3):
         alone = _trained(plugin)(tokens.with_data(tokens.data[row : row + 1]), style[row : row + 1]).data
@@ -61,14 +64,14 @@ def test_styles_of_a_batch_stay_apart(plugin: Subject[Injector]) -> None:
 @torch.no_grad()
 def test_views_have_no_order(plugin: Subject[Injector]) -> None:
     """Views in another order give the same tokens in that order."""
-    tokens, style, order = _tokens(2, 3, (3, 5), 5), _style(2), [2, 0, 1]
+    tokens, style, order = _tokens(2, 3, (3, 5), 5), _style(plugin, 2), [2, 0, 1]
     reordered = _trained(plugin)(tokens.with_data(tokens.data[:, order]), style).data
     asserts.close(reordered, _trained(plugin)(tokens, style).data[:, order], "tokens of views in another order")
 
 
 def test_gradients_reach_tokens_and_style(plugin: Subject[Injector]) -> None:
     """After training, it is differentiable in the tokens and in the style."""
-    tokens, style = _tokens(1, 2, (3, 5), 5), _style(1).requires_grad_()
+    tokens, style = _tokens(1, 2, (3, 5), 5), _style(plugin, 1).requires_grad_()
     data = tokens.data.clone().requires_grad_()
     result = _trained(plugin)(tokens.with_data(data), style).data
     (result * noise(result)).sum().backward()
@@ -81,8 +84,9 @@ def _tokens(batch: int, number: int, grid: tuple[int, int], special: int, dim: i
     return Tokens(torch.randn(batch, number, count, dim, generator=generator(count)), grid=grid, special=special)
 
 
-def _style(batch: int, seed: int = 0) -> Float[Tensor, "B D"]:
-    return nn.functional.normalize(torch.randn(batch, STYLE_DIM, generator=generator(100 + seed)), dim=-1)
+def _style(plugin: Subject[Injector], batch: int, seed: int = 0) -> Float[Tensor, "B *tokens D"]:
+    shape = (batch, 7, STYLE_DIM) if plugin.cls.reads_tokens else (batch, STYLE_DIM)
+    return nn.functional.normalize(torch.randn(shape, generator=generator(100 + seed)), dim=-1)
 
 
 @cache
@@ -91,7 +95,7 @@ def _trained(plugin: Subject[Injector]) -> Injector:
     """After a step towards random tokens, so that no direction of the error is 0; with the gradients of the second."""
     injector = plugin.build(dim=DIM, style_dim=STYLE_DIM, site=Site("head/tokens", DIM))
     optimizer = torch.optim.Adam(injector.parameters(), lr=1e-2) if any(True for _ in injector.parameters()) else None
-    tokens, style = _tokens(4, 2, (3, 5), 5), _style(4)
+    tokens, style = _tokens(4, 2, (3, 5), 5), _style(plugin, 4)
     with seeded(0):
         for step in range(2 if optimizer else 0):
             injector.zero_grad()

@@ -175,7 +175,8 @@ class StylizationTraining(Training):
         """The styles of a step, as texts or as images; a row that lacks the one is embedded as the other."""
         vector = style_vectors(self.stylizer, style, as_text=self.is_text_step(step))
         neutral = neutral_embedding(self.stylizer.style_encoder)
-        return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1))
+        tokens = None if style.image is None else self.stylizer.style_encoder.embed_tokens(style.image)
+        return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1), tokens=tokens)
 
     def is_text_step(self, step: int) -> bool:
         """Whether the styles of a step are texts; the same in every process and after a restart."""

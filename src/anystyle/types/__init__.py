@@ -16,6 +16,7 @@ from anystyle.types.network import (
     Inject,
     Site,
     Source,
+    StyleEmbedding,
     Tokens,
     contiguous,
     matching_sites,
@@ -24,7 +25,7 @@ from anystyle.types.network import (
 from anystyle.types.progress import OnProgress, Progress, no_progress
 from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene, StyledScene
 from anystyle.types.shapes import Value
-from anystyle.types.views import Cameras, Original, SourceImage, Style, StyleEmbedding, TextMatch, Views
+from anystyle.types.views import Cameras, Original, SourceImage, Style, TextMatch, Views
 
 __all__ = [
     "Attributes",

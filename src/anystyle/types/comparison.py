@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from anystyle.types.network import StyleEmbedding
 from anystyle.types.scene import Gaussians, Renders, Scene
 from anystyle.types.shapes import Value
-from anystyle.types.views import Cameras, Style, StyleEmbedding, Views
+from anystyle.types.views import Cameras, Style, Views
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Tokens, sites and raw predictions: values inside a network, and which weights it has."""
+"""Tokens, styles, sites and raw predictions: values inside a network, and which weights it has."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.types.shapes import Value
+from anystyle.types.shapes import Given, Value
 from anystyle.types.views import Cameras
 
 
@@ -55,6 +55,46 @@ Features = Mapping[int, Tokens]
 def contiguous(features: Features) -> Features:
     """Features in row-major memory."""
     return {layer: tokens.contiguous() for layer, tokens in features.items()}
+
+
+@dataclass(frozen=True)
+class StyleEmbedding(Given):
+    """A style as the network reads it.
+
+    Args:
+        vector: The embedding, as the style encoder gives it, or a mixture of two.
+        direction: The normalised difference from the neutral prompt's embedding; what the CLIP losses compare with.
+        scale: Size of strokes, relative to the model's own.
+        tokens: The style image as tokens, where the style encoder gives them; one view, whose grid is the image's.
+    """
+
+    vector: Float[Tensor, "B D"]
+    direction: Float[Tensor, "B D"]
+    scale: float = 1.0
+    tokens: Tokens | None = None
+
+    def toward(self, other: "StyleEmbedding", amount: "float | Float[Tensor, ' B']") -> "StyleEmbedding":
+        """The point at ``amount`` in [0, 1] of the straight way to ``other``; not normalised again, as published.
+
+        Example:
+            >>> red = StyleEmbedding(torch.tensor([[1.0, 0.0]]), torch.tensor([[1.0, 0.0]]))
+            >>> blue = StyleEmbedding(torch.tensor([[0.0, 1.0]]), torch.tensor([[0.0, 1.0]]))
+            >>> red.toward(blue, 0.25).vector
+            tensor([[0.7500, 0.2500]])
+        """
+        if other.vector.shape[1] != self.vector.shape[1]:
+            sizes = f"{self.vector.shape[1]} and {other.vector.shape[1]}"
+            raise UserError(f"embeddings of {sizes} dimensions cannot be mixed; make both with one stylizer's `embed`")
+        weight = torch.as_tensor(amount, dtype=self.vector.dtype, device=self.vector.device).reshape(-1, 1)
+        tokens = None
+        if self.tokens is not None and other.tokens is not None:
+            tokens = self.tokens.with_data(torch.lerp(self.tokens.data, other.tokens.data, weight[..., None, None]))
+        return StyleEmbedding(
+            vector=torch.lerp(self.vector, other.vector, weight),
+            direction=torch.lerp(self.direction, other.direction, weight),
+            scale=self.scale,
+            tokens=tokens,
+        )
 
 
 @dataclass(frozen=True)
@@ -105,17 +145,22 @@ class Geometry(Value):
         cameras: The predicted cameras, for the input views' size.
         depth: As the backbone defines it and its adapter reads it, in the scene's units.
         confidence: Confidence of the depth, at least 0; larger is surer.
+        pointmap: World points of the pixels, where a backbone predicts them beside or in place of depth; they need not
+            lie on the rays of the cameras.
     """
 
     cameras: Cameras
     depth: Float[Tensor, "B V H W"]
     confidence: Float[Tensor, "B V H W"]
+    pointmap: Float[Tensor, "B V H W 3"] | None = None
 
     def points(self, pixel_center: float = 0.5) -> Float[Tensor, "B V H W 3"]:
-        """World points of every pixel, with ``depth`` as distance along z.
+        """World points of every pixel: ``pointmap``, or else ``depth`` as distance along z.
 
         ``pixel_center`` is where in the pixel the ray passes; the published AnySplat weights were trained with 0.
         """
+        if self.pointmap is not None:
+            return self.pointmap
         height, width = self.depth.shape[-2:]
         intrinsics, pose = self.cameras.intrinsics, self.cameras.world_from_camera
         v = torch.arange(height, device=self.depth.device, dtype=self.depth.dtype) + pixel_center

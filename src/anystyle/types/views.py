@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int
 from PIL import Image
 from torch import Tensor
 
-from anystyle.errors import UserError
 from anystyle.types.shapes import Given
 
 
@@ -101,40 +100,6 @@ class Style(Given):
     text: tuple[str, ...] | None = None
     has_image: Bool[Tensor, " B"] | None = None
     names: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class StyleEmbedding(Given):
-    """A style as the network reads it.
-
-    Args:
-        vector: The embedding, as the style encoder gives it, or a mixture of two.
-        direction: The normalised difference from the neutral prompt's embedding; what the CLIP losses compare with.
-        scale: Size of strokes, relative to the model's own.
-    """
-
-    vector: Float[Tensor, "B D"]
-    direction: Float[Tensor, "B D"]
-    scale: float = 1.0
-
-    def toward(self, other: "StyleEmbedding", amount: "float | Float[Tensor, ' B']") -> "StyleEmbedding":
-        """The point at ``amount`` in [0, 1] of the straight way to ``other``; not normalised again, as published.
-
-        Example:
-            >>> red = StyleEmbedding(torch.tensor([[1.0, 0.0]]), torch.tensor([[1.0, 0.0]]))
-            >>> blue = StyleEmbedding(torch.tensor([[0.0, 1.0]]), torch.tensor([[0.0, 1.0]]))
-            >>> red.toward(blue, 0.25).vector
-            tensor([[0.7500, 0.2500]])
-        """
-        if other.vector.shape[1] != self.vector.shape[1]:
-            sizes = f"{self.vector.shape[1]} and {other.vector.shape[1]}"
-            raise UserError(f"embeddings of {sizes} dimensions cannot be mixed; make both with one stylizer's `embed`")
-        weight = torch.as_tensor(amount, dtype=self.vector.dtype, device=self.vector.device).reshape(-1, 1)
-        return StyleEmbedding(
-            vector=torch.lerp(self.vector, other.vector, weight),
-            direction=torch.lerp(self.direction, other.direction, weight),
-            scale=self.scale,
-        )
 
 
 @dataclass(frozen=True)
