@@ -7,6 +7,7 @@ changelog.
 
 import ast
 import json
+import os
 import re
 import subprocess
 import sys
@@ -245,6 +246,21 @@ def test_importing_anystyle_costs_nothing():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("given", "spins"), [({}, "0"), ({"GOMP_SPINCOUNT": "77"}, "77"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "30000000000")]
+)
+def test_threads_that_wait_do_not_spin(given: dict[str, str], spins: str):
+    environment = {key: value for key, value in os.environ.items() if key not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
+    done = subprocess.run(
+        [sys.executable, "-c", "import anystyle, torch"],
+        capture_output=True, text=True, check=True, env={**environment, **given, "OMP_DISPLAY_ENV": "VERBOSE"},
+    )  # fmt: skip
+    found = re.search(r"GOMP_SPINCOUNT = '(\d+)'", done.stderr)
+    if found is None:
+        pytest.skip("this PyTorch has another OpenMP than GNU's")
+    assert found[1] == spins
 
 
 def surface() -> dict[str, object]:

@@ -9,7 +9,13 @@ Names are imported when they are first asked for, so that ``import anystyle`` co
 """
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
+
+# Threads of OpenMP that spin while they wait cost several times the work where another program uses a core. Read when
+# torch is imported; one's own setting is kept.
+if "GOMP_SPINCOUNT" not in os.environ:
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
     from anystyle import types
