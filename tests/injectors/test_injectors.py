@@ -12,6 +12,7 @@ from anystyle.injectors.ada_ln import AdaLN
 from anystyle.injectors.cross_attention import CrossAttention
 from anystyle.injectors.film import FiLM
 from anystyle.injectors.lora import LoRA
+from anystyle.injectors.token_attention import TokenAttention
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.registry.catalog import catalog
 from anystyle.testing import assert_contract
@@ -122,6 +123,33 @@ def test_identity_at_birth_in_every_precision(cls, dtype):
     result = injector(tokens, 10 * _style().to(dtype))
     assert result.data.dtype == dtype
     assert torch.equal(result.data, tokens.data)
+
+
+def test_token_attention_is_softmax_over_the_style_tokens():
+    injector = _trained(TokenAttention, heads=2, head_dim=3)
+    tokens, style = _tokens().to(torch.float64), torch.randn(2, 7, STYLE, dtype=torch.float64)
+    given = injector(tokens, style).patches
+    for scene, coded in enumerate(injector.style_norm(injector.style_tokens(style))):
+        query, keys, values = (
+            injector.query(injector.norm(tokens.patches[scene])),
+            injector.key(coded),
+            injector.value(coded),
+        )
+        heads = [
+            (query[..., part] @ keys[:, part].T / math.sqrt(3)).softmax(-1) @ values[:, part]
+            for part in (slice(0, 3), slice(3, 6))
+        ]
+        expected = tokens.patches[scene] + injector.zero_proj(torch.cat(heads, dim=-1))
+        torch.testing.assert_close(given[scene], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_in_a_stylizer_the_views_see_each_other():
+    tokens = _tokens().to(torch.float64)
+    other = tokens.with_data(torch.cat([tokens.data[:, :2], tokens.data[:, 2:].flip(-1)], dim=1))
+    style = torch.randn(2, 7, STYLE, dtype=torch.float64)
+    alone, together = (_trained(TokenAttention, heads=2, head_dim=3, stylizer=on) for on in (False, True))
+    assert torch.equal(alone(tokens, style).data[:, :2], alone(other, style).data[:, :2])
+    assert not torch.allclose(together(tokens, style).data[:, :2], together(other, style).data[:, :2])
 
 
 def test_low_rank_update_is_one_of_the_weights_that_read_the_tokens():

@@ -41,7 +41,11 @@ class StylePrediction(nn.Module):
 
     def forward(self, images: Float[Tensor, "M 3 h w"]) -> Float[Tensor, "M 100"]:
         """Style vectors, of norm 8 to 10, of sRGB images in [0, 1] with even sides, 256 by 256 in training."""
-        return self.head(self.top(self.blocks(self.stem(images))).mean((2, 3)))
+        return self.head(self.features(images).mean((2, 3)))
+
+    def features(self, images: Float[Tensor, "M 3 h w"]) -> Float[Tensor, "M 1280 _ _"]:
+        """What the linear layer reads the mean of, at a 32nd of the size."""
+        return self.top(self.blocks(self.stem(images)))
 
 
 class ConvReLU6(nn.Module):

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from anystyle.contracts import StyleEncoder
 from anystyle.nn.words import clean
-from anystyle.types import TextMatch
+from anystyle.types import TextMatch, Tokens
 from anystyle.vision.weights import find, published
 from anystyle_magenta.networks import SIDE, STYLE_DIM, StylePrediction, TextTower
 from anystyle_magenta.pretrained import GUESSES, SENTENCES, load_prediction, load_text_tower, words_installed
@@ -90,6 +90,7 @@ class MagentaEncoder(StyleEncoder):
     """
 
     unit_norm: bool = False
+    token_dim: int | None = 1280
 
     def __init__(self, *, pretrained: bool = True) -> None:
         super().__init__()
@@ -107,6 +108,11 @@ class MagentaEncoder(StyleEncoder):
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embeddings of the square in the middle of images, resized to 256 x 256 pixels; differentiable."""
         return self.network(centre_square(images))
+
+    def embed_tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
+        """What the network sees at 8 x 8 places of that square, 1280 numbers of at least 0 each."""
+        features = self.network.features(centre_square(images))  # M C 8 8
+        return Tokens(features.flatten(2).mT[:, None], grid=(features.shape[-2], features.shape[-1]))
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         vectors = self.text_tower(texts)

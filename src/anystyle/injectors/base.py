@@ -25,14 +25,14 @@ class TokenInjector(Injector):
         self.gain = gain
         self.special_tokens = special_tokens
 
-    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+    def forward(self, tokens: Tokens, style: Float[Tensor, "B *tokens D"]) -> Tokens:
         style = self.gain * style.to(next(self.parameters()).dtype)
         if self.special_tokens:
             return tokens.with_data(self.styled(tokens.data, style))
         return tokens.with_patches(self.styled(tokens.patches, style))
 
     @abstractmethod
-    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B *tokens D"]) -> Float[Tensor, "B V P C"]:
         """The tokens in each style; ``data`` is left as it is."""
 
 

@@ -48,13 +48,17 @@ class CrossAttention(TokenInjector):
         self.value = nn.Linear(width, width)
         self.zero_proj = zeroed(nn.Linear(width, dim))
 
-    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        coded = self.style_norm(self.style_tokens(style).unflatten(-1, (self.num_tokens, -1)))  # B K W
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B *tokens D"]) -> Float[Tensor, "B V P C"]:
+        coded = self.style_norm(self.coded(style))  # B K W
         query = self.query(self.norm(data.flatten(1, 2)))  # B (V P) W
         attended = functional.scaled_dot_product_attention(
             self._split(query), self._split(self.key(coded)), self._split(self.value(coded))
         )
         return data + self.zero_proj(attended.transpose(1, 2).flatten(-2)).reshape(data.shape)
+
+    def coded(self, style: Float[Tensor, "B D"]) -> Float[Tensor, "B K W"]:
+        """The style tokens that a vector becomes."""
+        return self.style_tokens(style).unflatten(-1, (self.num_tokens, -1))
 
     def _split(self, channels: Tensor) -> Tensor:
         return channels.unflatten(-1, (self.heads, -1)).transpose(1, 2)  # B heads rows head_dim
