@@ -169,3 +169,22 @@ def test_what_it_takes_is_what_was_told():
     idle = sampled_peak(lambda: None)
     used = sampled_peak(lambda: fit_colors(scene, cameras, targets, RENDERER, steps=1)) - idle
     assert used < count * (splats.BYTES + splats.BYTES_A_VIEW * views)
+
+
+def test_results_are_restyled_at_the_size_they_were_made_at(tmp_path):
+    """Of a folder, of its file, and of one of several styles; a scene of unknown origin has a size of ours."""
+    (tmp_path / "photos").mkdir()
+    for index, image in enumerate(photographed_wall(3)[0]):
+        to_pil(image).resize((96, 80)).save(tmp_path / "photos" / f"{index}.png")
+    made = tmp_path / "made"
+    options = ["--out", str(made), "views.short_side=56", "poses=predicted", "video.frames=2"]
+    stylize.main([str(tmp_path / "photos"), "--text", "red dots", "--text", "blue", *options])
+    stylizer, given = anystyle.load(), SplatOptions(cameras=2)
+    folder = next(path for path in made.iterdir() if (path / "scene.ply").is_file())
+    for path in (made, folder, folder / "scene.ply"):
+        assert min(encode_saved(path, stylizer, ViewOptions(), given, Stages()).views.size) == 56
+    alone = tmp_path / "elsewhere" / "deeper" / "scene.ply"
+    alone.parent.mkdir(parents=True)
+    alone.write_bytes((folder / "scene.ply").read_bytes())
+    assert encode_saved(alone, stylizer, ViewOptions(), given, Stages()).views.size == (378, 378)
+    assert encode_saved(alone, stylizer, ViewOptions(short_side=28), given, Stages()).views.size == (28, 28)

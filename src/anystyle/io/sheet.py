@@ -88,11 +88,13 @@ def side_by_side(images: Sequence[Image.Image]) -> Image.Image:
     return Image.fromarray(np.hstack([np.asarray(image.convert("RGB")) for image in resized]))
 
 
-def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]]) -> Image.Image:
-    """Thumbnails of photographs, and for each column its title, style if it has one, and thumbnails below."""
-    titles, head, *_ = zip(("photograph", None, photographs), *columns, strict=True)
-    rows = list(zip(photographs, *(renders for *_, renders in columns), strict=True))
-    return contact_sheet([*([head] if any(head) else []), *rows], column_titles=titles, cell=photographs[0].size)
+def style_sheet(
+    views: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]], *, title: str = "photograph"
+) -> Image.Image:
+    """Thumbnails of views, and for each column its title, style if it has one, and thumbnails below."""
+    titles, head, *_ = zip((title, None, views), *columns, strict=True)
+    rows = list(zip(views, *(renders for *_, renders in columns), strict=True))
+    return contact_sheet([*([head] if any(head) else []), *rows], column_titles=titles, cell=views[0].size)
 
 
 def save_png(image: Image.Image, path: Path) -> None:

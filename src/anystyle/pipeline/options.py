@@ -48,7 +48,8 @@ class ViewOptions:
     """How photographs are read, and how many are encoded together.
 
     Args:
-        short_side: Shorter side of the views in pixels; ``None`` is the size that the reconstruction is made for.
+        short_side: Shorter side of the views in pixels; ``None`` is the size that the reconstruction is made for, and
+            for a given scene the size that it was made at, or 384.
         resize: Whether photographs are brought to one size; otherwise they are taken pixel by pixel, and their sides
             must be multiples of the backbone's patch size.
         take: The most photographs that are read; of more, evenly spaced ones. ``None`` is the reconstruction's number,

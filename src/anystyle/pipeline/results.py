@@ -272,8 +272,12 @@ class Results:
         return StyledScene(tuple(styles), encoded.cameras, names, lines, title, offset=encoded.offset)
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
-        """Write ``sheet.png``: photographs, the unstyled scene and the columns of some styles."""
-        save_png(style_sheet(self._photographs, [self.unstyled, *columns]), folder / "sheet.png")
+        """Write ``sheet.png``: photographs if there are any, the unstyled scene and the columns of some styles."""
+        if self.encoded.reconstruction["kind"] == "given":  # its views are renders of it
+            sheet = style_sheet(self._photographs, columns, title="unstyled")
+        else:
+            sheet = style_sheet(self._photographs, [self.unstyled, *columns])
+        save_png(sheet, folder / "sheet.png")
 
     @cached_property
     def _photographs(self) -> list[Image.Image]:

@@ -66,6 +66,7 @@ class SavedReport:
     style: str | list[str] = ""
     gaussians: Count = 0
     views: Count = 0
+    size: tuple[_Side, _Side] | None = None
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     offset: Offset = NEAR
@@ -214,6 +215,15 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
 
 def _report(folder: Path) -> SavedReport:
     return read_json(folder / "report.json", SavedReport, what="report")
+
+
+def made_at(path: Path) -> int | None:
+    """The shorter side in pixels of the views of results in a folder, or beside a file; ``None`` if it is unknown."""
+    folder = path if path.is_dir() else path.parent
+    for file in (folder / "report.json", *folder.glob("*/report.json")):
+        if file.is_file() and (size := _report(file.parent).size):
+            return min(size)
+    return None
 
 
 def read_gaussians(path: Path) -> Gaussians:

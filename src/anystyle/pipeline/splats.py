@@ -18,7 +18,7 @@ from anystyle.io.limits import require
 from anystyle.pipeline.encode import EncodedCapture, Group, available, encoder, scene_report
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
-from anystyle.pipeline.saved import cameras_beside, read_unturned, saved_cameras, unstyled_of
+from anystyle.pipeline.saved import cameras_beside, made_at, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, SourceImage, StyledScene, Views
@@ -29,6 +29,8 @@ FOCAL = 1.2
 """Of chosen cameras, in sides of their square images: 45 degrees."""
 DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
+PAINTED = 384
+"""Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
 BYTES, BYTES_A_VIEW = 800, 60
 """Memory that colouring takes: of each Gaussian, and of each in each view; measured with renderer=cpu at degree 3."""
 
@@ -38,14 +40,17 @@ def encode_saved(
 ) -> EncodedCapture:
     """Read a saved scene, render it from cameras that are stored with it or chosen, and encode the renders.
 
-    Of a folder of results in several styles the unstyled scene is taken; ``views`` say the size of the renders.
+    Of a folder of results in several styles the unstyled scene is taken. Renders have the size that ``views`` say, else
+    that at which results were made.
     """
     start, patch = time.perf_counter(), stylizer.backbone.patch_size
     with stages("read", "the Gaussians"):
         given = read_unturned(path, options.up, activated=options.activated)
         saved = in_axes("opencv", given)
         gaussians = unstyled_of(saved).to(stylizer.device)
-        cameras, sources, origin = cameras_of(path, saved, views, options, patch, stylizer.backbone.resolution)
+        sees_features = stylizer.branch.gaussian_head is not None
+        side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
+        cameras, sources, origin = cameras_of(path, saved, views, options, patch, side)
         line = require_splat(gaussians.means.shape[1], len(sources), stylizer.device)
     with stages("encode", f"{line}; cameras {origin}"):
         scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.render, encoder(stylizer))
@@ -68,14 +73,14 @@ def require_splat(num_gaussians: int, num_views: int, device: torch.device) -> s
 
 
 def cameras_of(
-    path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, resolution: int
+    path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, side: int
 ) -> tuple[Cameras, tuple[SourceImage, ...], str]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Sides of renders are multiples of ``multiple``; the shorter is ``resolution`` unless ``views`` give it. Beside the
+    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. Beside the
     cameras it returns what their images are called, and where they come from.
     """
-    side = max(multiple, round((views.short_side or resolution) / multiple) * multiple)
+    side = max(multiple, round((views.short_side or side) / multiple) * multiple)
     stored = {} if options.folder else saved_cameras(saved)
     for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
         stored = stored or cameras_beside(folder, saved.offset)
