@@ -1,7 +1,6 @@
 """What Stylos' checkpoints call our parameters, what their shapes tell, and strict loading."""
 
 import logging
-import math
 import re
 from collections.abc import Iterable, Mapping
 
@@ -118,7 +117,7 @@ def options_of(names: Mapping[str, Tensor]) -> dict[str, object]:
     kinds, depth = [kind for kind in depths if depths[kind]], max(depths.values())
     if not kinds:
         raise UserError(f"the checkpoint has no {STYLE}global_blocks; it is not {PUBLISHER}, or not all of it")
-    taps = tuple(math.ceil(layer * (depth - 1) / (PUBLISHED_DEPTH - 1)) for layer in PUBLISHED_TAPS)
+    taps = tuple(layer * (depth - 1) // (PUBLISHED_DEPTH - 1) for layer in PUBLISHED_TAPS)
     _log.info(
         "not in the checkpoint, and assumed: backbone.style_taps=%s backbone.voxel_size=%s", list(taps), VOXEL_SIZE
     )

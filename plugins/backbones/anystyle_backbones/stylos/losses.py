@@ -21,8 +21,9 @@ RELU = ("relu1_1", "relu2_1", "relu3_1", "relu4_1", "relu5_1")
 class AdainVoxels(FeatureLoss):
     """Match means and deviations of features to the style's, and features to the photographs' (Stylos' objective).
 
-    ``(content_weight * content + style) / (B V)``: further from its mean the more views there are, as published. With
-    ``m`` and ``s`` mean and deviation of every channel, a layer's distance is ``mean_c (m - m')^2 + mean_c (s - s')^2``.
+    ``(content_weight * content + style) / (B V)``: of ``voxels`` and ``scene`` less the more views there are, as
+    published. A layer's distance is ``mean_c (m - m')^2 + mean_c (s - s')^2``, with ``m`` and ``s`` mean and deviation
+    of every channel.
 
     Args:
         pool: What statistics are taken over: an ``image``, whose distances are added up; all pixels of a ``scene``;
@@ -52,7 +53,9 @@ class AdainVoxels(FeatureLoss):
     ) -> None:
         super().__init__(network, layers, size, weight)
         if len(layers) > len(layer_weights) or len(layers) < 2:
-            raise UserError(f"{len(layers)} layers and {len(layer_weights)} weights; give two layers or more, a weight each")
+            raise UserError(
+                f"{len(layers)} layers and {len(layer_weights)} weights; give two layers or more, a weight each"
+            )
         self.pool, self.content_weight, self.voxel_size = pool, content_weight, voxel_size
         chosen = layer_weights[: len(layers)]
         self.layer_weights = [1.0] * len(layers) if pool == "image" else [one / sum(chosen) for one in chosen]
@@ -92,8 +95,10 @@ class AdainVoxels(FeatureLoss):
             return (flat,)
         attributes, (height, width) = result.scene.attributes, features.shape[-2:]
         points = result.scene.geometry.points(0.0)[row].movedim(-1, 1).detach()  # V 3 H W
-        confidence = attributes.opacity.new_zeros(points[:, 0].shape) if attributes.confidence is None else (
-            attributes.confidence[row].detach()
+        confidence = (
+            attributes.opacity.new_zeros(points[:, 0].shape)
+            if attributes.confidence is None
+            else (attributes.confidence[row].detach())
         )
         side = self.voxel_size * (points[0, 0].numel() / (height * width)) ** 0.5
         points = F.interpolate(points, (height, width), mode="nearest-exact").movedim(1, -1).flatten(0, 2)

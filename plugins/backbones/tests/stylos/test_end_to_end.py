@@ -1,10 +1,10 @@
 """The whole network, from pixels to styled Gaussians, against the published implementation."""
 
+import copy
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,11 +13,9 @@ from torch import Tensor, nn
 
 from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.types import Gaussians, Scene, StyleEmbedding, Views
-from anystyle_backbones.anysplat.backbone import AnySplat
 from anystyle_backbones.stylos import Stylos, StylosStyle
 from anystyle_backbones.stylos.heads import StylosBranch
 from anystyle_backbones.stylos.keys import StylosCheckpoints
-from anystyle_backbones.stylos.transformer import CrossBlock, StyleAggregator, StyleAttention
 from tests.support import anysplat_reference, stylos_reference
 
 CHECKPOINTS = StylosCheckpoints()
@@ -204,7 +202,10 @@ def test_the_demos_network() -> None:
     record = stylos_reference.record()["tiny"]["demo_quick_inference"]
     shapes = stylos_reference.tiny_shapes("demo")
     assert len(shapes) == record["n_keys"]
-    network, case = tiny("demo"), stylos_reference.record()["tiny"][record["case"]] | {"voxel_size": record["voxel_size"]}
+    network, case = (
+        tiny("demo"),
+        stylos_reference.record()["tiny"][record["case"]] | {"voxel_size": record["voxel_size"]},
+    )
     scene = network.encoded(record["case"], case)
     check_geometry(scene, record)
     style = network.embed(stylos_reference.image(case["inputs"]["style_image"])[:, 0])
@@ -212,6 +213,38 @@ def test_the_demos_network() -> None:
     anysplat_reference.check(
         watched(network.branch, lambda: network.branch(scene, style))["raw_style"], case["global"]["raw_style"]
     )
+
+
+def exchanged(state: Mapping[str, Tensor], one: str, other: str) -> dict[str, Tensor]:
+    """Weights whose names two words are exchanged in."""
+    found = {}
+    for key, tensor in state.items():
+        found[key.replace(one, "~").replace(other, one).replace("~", other)] = tensor
+    return found
+
+
+MISTAKES: dict[str, Callable[[Mapping[str, Tensor]], Mapping[str, Tensor]]] = {
+    "values before keys": lambda s: {k: t.roll(len(t) // 2, 0) if "kv_proj" in k else t for k, t in s.items()},
+    "norms": lambda s: exchanged(s, ".qnorm1.", ".kvnorm1."),
+    "layer scales": lambda s: exchanged(s, ".ls1.", ".ls2."),
+    "registers": lambda s: {k: t * 0 if k.endswith("register_token") else t for k, t in s.items()},
+}
+
+
+@pytest.mark.parametrize("mistake", [*MISTAKES, "positions", "another style"])
+def test_a_mistake_is_far_from_the_golden(mistake: str) -> None:
+    network, name = tiny("global"), CASES[0]
+    case = stylos_reference.record()["tiny"][name]
+    branch, scene = copy.deepcopy(network.branch), network.encoded(name, case)
+    branch.load_state_dict(MISTAKES.get(mistake, dict)(branch.state_dict()))
+    picture = "second_style_image" if mistake == "another style" else "style_image"
+    style = network.embed(stylos_reference.image(case["inputs"][picture])[:, 0])
+    if mistake == "positions":
+        assert style.tokens is not None
+        style = replace(style, tokens=replace(style.tokens, grid=style.tokens.grid[::-1]))
+    record = case["global"]["raw_style"]
+    raw = watched(branch, lambda: branch(scene, style))["raw_style"].flatten()[record["idx"]]
+    assert (raw - torch.tensor(record["val"])).abs().max() > 20 * anysplat_reference.scaled(record)
 
 
 @pytest.mark.slow
