@@ -14,7 +14,7 @@ from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones.anysplat.backbone import AnySplat
 from anystyle_backbones.anysplat.transformer import Aggregator
 from anystyle_backbones.dpt import Dpt
-from anystyle_backbones.stylos.heads import GaussianHead, StyleHead, StylosBranch
+from anystyle_backbones.stylos.heads import GaussianHead, StylosBranch
 from anystyle_backbones.stylos.keys import StylosCheckpoints
 from anystyle_backbones.stylos.transformer import Order, StemAggregator, StyleAggregator
 
@@ -23,7 +23,7 @@ class Stylos(AnySplat):
     """AnySplat's geometry, and colours by attention to a style image (Stylos, arXiv 2509.26455).
 
     The defaults are the published network of 1.42 billion parameters. The published weights fix every option but
-    ``fuse``, ``chunk`` and ``checkpointing``. Its style branch is ``branch.published=true``, and its style encoder
+    ``chunk`` and ``checkpointing``. Its style branch is ``branch.published=true``, and its style encoder
     ``style_encoder=stylos``.
 
     Args:
@@ -32,10 +32,9 @@ class Stylos(AnySplat):
         dim: Channels of the transformers.
         embed_depth: Blocks of the embedder.
         depth: Pairs of frame and global blocks.
-        heads: Attention heads of the transformers.
+        heads: Attention heads of the transformers and of the camera head.
         taps: The four layers that the geometry is decoded from; the last is the aggregator's last.
         camera_depth: Blocks of the camera head.
-        camera_heads: Its attention heads.
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
         gaussian_features: Channels of the decoders of the Gaussians' geometry and of colours.
@@ -46,8 +45,6 @@ class Stylos(AnySplat):
         style_depth: Layers of the style aggregator.
         style_taps: The four of them that colours are decoded from; the last is the last.
         style_updates: Whether layers change the style's tokens; no configuration of the publishers' does.
-        pixel_center: Where in its pixel a point is seen; the published weights were trained with 0.
-        fuse: Whether pixels that share a voxel become one Gaussian.
         voxel_size: Side of a voxel, in world units.
         chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it affects only memory.
         checkpointing: Whether training recomputes blocks of the style aggregator to save memory.
@@ -58,7 +55,7 @@ class Stylos(AnySplat):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        sizes = {"resolution": 56, "native_resolution": 56, "dim": 32, "heads": 2, "camera_heads": 2}
+        sizes = {"resolution": 56, "native_resolution": 56, "dim": 32, "heads": 2}
         depths = {"embed_depth": 1, "depth": 5, "taps": (1, 2, 3, 4), "camera_depth": 1, "style_depth": 4}
         decoders = {"depth_features": 16, "depth_channels": (8,) * 4, "gaussian_channels": (8,) * 4}
         return {**sizes, **depths, **decoders, "gaussian_features": 16, "style_taps": (0, 1, 2, 3), "voxel_size": 0.02}
@@ -74,7 +71,6 @@ class Stylos(AnySplat):
         heads: int = 16,
         taps: Sequence[int] = (4, 11, 17, 23),
         camera_depth: int = 4,
-        camera_heads: int = 16,
         depth_features: int = 256,
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
         gaussian_features: int = 256,
@@ -84,8 +80,6 @@ class Stylos(AnySplat):
         style_depth: int = 12,
         style_taps: Sequence[int] = (2, 5, 8, 11),
         style_updates: bool = False,
-        pixel_center: float = 0.0,
-        fuse: bool = True,
         voxel_size: Positive = 0.002,
         chunk: AtLeastOne = 4,
         checkpointing: bool = False,
@@ -104,7 +98,7 @@ class Stylos(AnySplat):
             heads=heads,
             taps=taps,
             camera_depth=camera_depth,
-            camera_heads=camera_heads,
+            camera_heads=heads,
             depth_features=depth_features,
             depth_channels=depth_channels,
             gaussian_features=8,  # of a head that is replaced below
@@ -112,8 +106,6 @@ class Stylos(AnySplat):
             gaussian_hidden=1,
             sh_degree=0,
             sh_mode="dc_only",
-            pixel_center=pixel_center,
-            fuse=fuse,
             voxel_size=voxel_size,
             chunk=chunk,
         )
@@ -132,14 +124,8 @@ class Stylos(AnySplat):
             checkpointing=checkpointing,
         )
         style_dpt = decoder(dim=2 * dim if style_order == "hybrid" else dim, outputs=4)
-        self.gaussian_head = GaussianHead(
-            dpt,
-            direct if image_features else None,
-            style_aggregator,
-            StyleHead(style_dpt, chunk=chunk),
-            taps=taps,
-            chunk=chunk,
-        )
+        features = direct if image_features else None
+        self.gaussian_head = GaussianHead(dpt, features, style_aggregator, style_dpt, taps=taps, chunk=chunk)
 
     def make_branch(self) -> StylePredictor:
         assert isinstance(self.gaussian_head, GaussianHead)

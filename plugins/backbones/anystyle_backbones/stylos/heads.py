@@ -11,25 +11,10 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.contracts import StylePredictor, style_tokens
 from anystyle.nn.tokens import normalised
-from anystyle.types import Attributes, Features, Inject, Scene, Site, StyleEmbedding, Tokens, untouched
+from anystyle.types import Attributes, Features, Inject, Scene, Site, StyleEmbedding, untouched
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.heads import decoded_maps
 from anystyle_backbones.stylos.transformer import SITES, STEM, StyleAggregator
-
-
-class StyleHead(nn.Module):
-    """Decodes colours: red, green and blue of the constant harmonic, and a confidence that nothing reads.
-
-    ``chunk`` views are decoded at a time, which changes memory only.
-    """
-
-    def __init__(self, dpt: Dpt, *, chunk: int) -> None:
-        super().__init__()
-        self.dpt, self.chunk = dpt, chunk
-
-    def forward(self, levels: Sequence[Tokens], size: tuple[int, int]) -> Float[Tensor, "B V H W 4"]:
-        """The raw map at ``size`` of the style aggregator's tapped tokens."""
-        return decoded_maps(self.dpt, levels, size, chunk=self.chunk)
 
 
 class GaussianHead(contracts.GaussianHead):
@@ -41,7 +26,8 @@ class GaussianHead(contracts.GaussianHead):
         dpt: Decodes opacity (1), scale (3), quaternion xyzw (4) and the confidence (1) that weighs pixels in fusion.
         direct: Features of the ImageNet-normalised images that are added to the decoded map, as in the demo's network.
         style_aggregator: See there.
-        style_head: Decodes what it gives.
+        style_head: Decodes what it gives: red, green and blue of the constant harmonic, and a confidence that nothing
+            reads.
         taps: The layers that ``dpt`` reads, four, in rising order.
         chunk: Views decoded at a time, which changes memory only.
     """
@@ -51,7 +37,7 @@ class GaussianHead(contracts.GaussianHead):
         dpt: Dpt,
         direct: nn.Module | None,
         style_aggregator: StyleAggregator,
-        style_head: StyleHead,
+        style_head: Dpt,
         *,
         taps: Sequence[int],
         chunk: int,
@@ -78,7 +64,7 @@ class GaussianHead(contracts.GaussianHead):
         levels = [features[layer] for layer in self.taps]
         raw = decoded_maps(self.dpt, levels, size, chunk=self.chunk, direct=None if self.direct is None else direct)
         first = replace(stem, data=stem.patches[:, :1], special=0)
-        color = self.style_head(self.style_aggregator(stem, first, inject), size)
+        color = decoded_maps(self.style_head, self.style_aggregator(stem, first, inject), size, chunk=self.chunk)
         return Attributes(
             opacity=raw[..., 0],
             scale=raw[..., 1:4],
@@ -102,11 +88,13 @@ class StylosBranch(StylePredictor):
 
     def __init__(self, head: GaussianHead) -> None:
         super().__init__()
+        self.chunk = head.chunk
         self.aggregator = copy.deepcopy(head.style_aggregator).requires_grad_()
         self.gaussian_head = copy.deepcopy(head.style_head).requires_grad_()
         self.injectors = nn.ModuleDict()
 
     def forward(self, scene: Scene, embedding: StyleEmbedding) -> Attributes:
-        assert self.aggregator is not None and self.gaussian_head is not None
+        assert self.aggregator is not None and isinstance(self.gaussian_head, Dpt)
         levels = self.aggregator(scene.stem, style_tokens(embedding))
-        return replace(scene.attributes, color=self.gaussian_head(levels, scene.views.size)[..., :3, None])
+        color = decoded_maps(self.gaussian_head, levels, scene.views.size, chunk=self.chunk)
+        return replace(scene.attributes, color=color[..., :3, None])

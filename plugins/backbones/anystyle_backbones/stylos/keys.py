@@ -26,7 +26,7 @@ _RULES = (
     (r"^gaussian_head\.direct\.", "gaussian_param_head.input_merger."),
     (r"^gaussian_head\.style_aggregator\.layers\.(\d+)\.(global|frame)\.", rf"{STYLE}\2_blocks.\1."),
     (r"^gaussian_head\.style_aggregator\.", STYLE),
-    (r"^gaussian_head\.style_head\.dpt\.", STYLE_HEAD),
+    (r"^gaussian_head\.style_head\.", STYLE_HEAD),
     *dpt_rules("style_gaussian_param_head"),
 )
 
@@ -102,7 +102,7 @@ def _same(one: Tensor, other: Tensor) -> bool:
 
 
 PUBLISHED_TAPS, PUBLISHED_DEPTH, VOXEL_SIZE = (2, 5, 8, 11), 12, 0.002
-SHARED = ("native_resolution", "dim", "embed_depth", "depth", "heads", "taps", "camera_depth", "camera_heads")
+SHARED = ("native_resolution", "dim", "embed_depth", "depth", "heads", "taps", "camera_depth")
 DECODERS = ("depth_features", "depth_channels", "gaussian_features", "gaussian_channels")
 
 

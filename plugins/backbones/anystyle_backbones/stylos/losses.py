@@ -95,14 +95,10 @@ class AdainVoxels(FeatureLoss):
             return (flat,)
         attributes, (height, width) = result.scene.attributes, features.shape[-2:]
         points = result.scene.geometry.points(0.0)[row].movedim(-1, 1).detach()  # V 3 H W
-        confidence = (
-            attributes.opacity.new_zeros(points[:, 0].shape)
-            if attributes.confidence is None
-            else (attributes.confidence[row].detach())
-        )
+        logits = attributes.opacity if attributes.confidence is None else attributes.confidence
         side = self.voxel_size * (points[0, 0].numel() / (height * width)) ** 0.5
         points = F.interpolate(points, (height, width), mode="nearest-exact").movedim(1, -1).flatten(0, 2)
-        confidence = F.interpolate(confidence[:, None], (height, width), mode="bilinear").flatten()
+        confidence = F.interpolate(logits[row].detach()[:, None], (height, width), mode="bilinear").flatten()
         clusters = voxel_clusters(points[None], confidence[None], side)
         return (fuse(flat.mT[None], clusters)[0].mT,)
 

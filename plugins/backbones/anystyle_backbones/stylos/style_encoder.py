@@ -16,8 +16,8 @@ from anystyle.vision.preprocess import middle_square, resized
 from anystyle_backbones.anysplat.transformer import DinoV2
 from anystyle_backbones.stylos.keys import StylosCheckpoints
 
-GREY = 8
-"""Patches on a side of the grey picture that stands for no style."""
+PATCH, GREY = 14, 112
+"""Sides in pixels of a patch, and of the grey picture that stands for no style."""
 
 
 class StylosStyle(StyleEncoder):
@@ -27,8 +27,7 @@ class StylosStyle(StyleEncoder):
 
     Args:
         resolution: Side in pixels of the square that images are brought to, as published: by their shorter side, then
-            cut to the middle. ``None`` takes them as they are, with sides that are multiples of ``patch_size``.
-        patch_size: Pixels per patch.
+            cut to the middle. ``None`` takes them as they are, with sides that are multiples of 14.
         native_resolution: Side of the square image that position embeddings are stored for; others are resampled.
         dim: Channels of the tokens.
         depth: Blocks.
@@ -46,7 +45,6 @@ class StylosStyle(StyleEncoder):
         self,
         *,
         resolution: int | None = 448,
-        patch_size: int = 14,
         native_resolution: int = 518,
         dim: int = 1024,
         depth: int = 24,
@@ -54,13 +52,13 @@ class StylosStyle(StyleEncoder):
         neutral: str = "a grey picture",
     ) -> None:
         super().__init__()
-        if resolution is not None and resolution % patch_size:
-            raise UserError(f"resolution is {resolution}, which is not a multiple of patch_size {patch_size}")
+        if resolution is not None and resolution % PATCH:
+            raise UserError(f"resolution is {resolution}, which is not a multiple of {PATCH}")
         self.dim, self.token_dim, self.neutral = dim, dim, neutral
-        self.resolution, self.patch_size = resolution, patch_size
+        self.resolution = resolution
         block = partial(Block, dim, heads, mlp_ratio=4.0, layer_scale=1.0, eps=1e-6)
         blocks = (block() for _ in range(depth))
-        self.patches = DinoV2(dim, blocks, patch_size=patch_size, grid=native_resolution // patch_size)
+        self.patches = DinoV2(dim, blocks, patch_size=PATCH, grid=native_resolution // PATCH)
 
     def embed_tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
         """The patches' tokens of sRGB images in [0, 1], brought to the resolution unless they have it."""
@@ -76,13 +74,13 @@ class StylosStyle(StyleEncoder):
         unread = [text for text in texts if text != self.neutral]
         if unread or not texts:
             raise UserError(f"{str(unread[:1])[1:-1] or 'no text'}: Stylos reads style images, no texts; give an image")
-        grey = self.patches.pos_embed.new_full((1, 3, GREY * self.patch_size, GREY * self.patch_size), 0.5)
+        grey = self.patches.pos_embed.new_full((1, 3, GREY, GREY), 0.5)
         return self._tokens(grey).data.mean((1, 2)).expand(len(texts), -1)
 
     def load_published(self, state: Mapping[str, Tensor]) -> None:
         StylosCheckpoints().load("style_encoder", self, state)
 
     def _tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
-        grid = grid_of(images, self.patch_size)
+        grid = grid_of(images, PATCH)
         tokens = self.patches(normalised(images.to(self.patches.pos_embed.dtype)))
         return Tokens(tokens[:, None], grid)

@@ -14,7 +14,7 @@ from anystyle.nn.tokens import normalised
 from anystyle.stylizer import Stylizer
 from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.types import Gaussians, Scene, StyleEmbedding, Tokens
-from anystyle_backbones.stylos import StylosStyle
+from anystyle_backbones.stylos import Stylos, StylosStyle
 from anystyle_backbones.stylos.heads import GaussianHead, StylosBranch
 from anystyle_backbones.stylos.transformer import STEM
 from tests.support.backbone_cases import network, same, views
