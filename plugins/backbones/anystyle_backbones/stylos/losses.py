@@ -32,7 +32,7 @@ class AdainVoxels(FeatureLoss):
         layers: Whose statistics are compared; content is compared at the last two.
         layer_weights: Weights of the layers, divided by their sum; ``image`` has none. Published: these for CO3D, and
             equal ones for DL3DV.
-        content_weight: Of the mean squared difference to the photographs' features.
+        content_weight: Weight of the mean squared difference to the photographs' features.
         voxel_size: Side of a voxel at full resolution, in world units; a layer of a tenth of the pixels of a side has
             voxels ten times as large.
         size: Side of the square that images are first resized to; ``None`` leaves renders as they are.

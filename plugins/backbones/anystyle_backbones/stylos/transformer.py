@@ -99,7 +99,8 @@ class StyleAggregator(nn.Module):
     """From the stem and the patches of a style image to the tokens that colours are decoded from.
 
     The style has register tokens of its own and keeps its own grid; no layer changes it, unless blocks do
-    (``updates_style``). Of two blocks a layer, the outputs lie side by side, the later one's first.
+    (``updates_style``). Where a layer has two blocks, their outputs lie side by
+    side, the later one's first.
 
     Options are explained at :class:`~anystyle_backbones.stylos.Stylos`; ``registers`` are tokens of the style.
     """
