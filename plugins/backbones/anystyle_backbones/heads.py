@@ -1,7 +1,7 @@
 """Gaussian and geometry heads on a DPT decoder, and cameras of pose encodings; a backbone adds what is its own."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isqrt
 from typing import Any
@@ -73,6 +73,29 @@ class DptGaussians(contracts.GaussianHead):
         return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
 
 
+def decoded_maps(
+    dpt: Dpt,
+    levels: Sequence[Tokens],
+    size: tuple[int, int],
+    *,
+    chunk: int,
+    direct: Callable[[slice], Float[Tensor, "M E H W"]] | None = None,
+) -> Float[Tensor, "B V H W F"]:
+    """A decoder's result from tokens of its levels, the earliest first, at ``size``; ``chunk`` views at a time.
+
+    ``direct`` computes what is added to the decoded maps of some views.
+    """
+    batch, views = levels[0].data.shape[:2]
+
+    def decode(chosen: slice) -> Float[Tensor, "B v H W F"]:
+        patches = (level.patches[:, chosen].to(dpt.dtype) for level in levels)
+        decoded = dpt.decode([dpt.norm(each).flatten(0, 1) for each in patches], levels[-1].grid, size)
+        decoded = decoded if direct is None else decoded.add_(direct(chosen))
+        return dpt.predict_(decoded).unflatten(0, (batch, -1))
+
+    return by_views(decode, views, max(1, chunk // batch))
+
+
 class CameraRegressor(nn.Module, ABC):
     """Reads cameras off tokens."""
 
@@ -102,19 +125,10 @@ class GeometryHead(contracts.GeometryHead):
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
         size, levels = (images.shape[-2], images.shape[-1]), [features[layer] for layer in self.taps]
-        batch, views = images.shape[:2]
-
-        def decode(chosen: slice) -> Float[Tensor, "B v H W 2"]:
-            patches = (level.patches[:, chosen].to(self.depth.dtype) for level in levels)
-            decoded = self.depth.decode(
-                [self.depth.norm(each).flatten(0, 1) for each in patches], levels[-1].grid, size
-            )
-            return self.depth.predict_(decoded).unflatten(0, (batch, -1))
-
         with torch.autocast(images.device.type, enabled=False):
             # Cameras too: under autocast a product of matrices would leave poses with three digits.
             cameras = self.camera.cameras(levels[-1].data[:, :, 0].to(self.depth.dtype), size)
-            logs = by_views(decode, views, max(1, self.chunk // batch))
+            logs = decoded_maps(self.depth, levels, size, chunk=self.chunk)
         depth, confidence = logs.float().exp().unbind(-1)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
         return geometry if self.aligner is None else self.aligner.aligned(geometry, images, levels[-1].reference)

@@ -12,7 +12,7 @@ from anystyle.types import Source
 from anystyle.vision import weights
 from anystyle.vision.efficientnet import EfficientNetLite0
 from anystyle.vision.features import FeatureNetwork, load_frozen
-from anystyle.vision.vgg import VGG16, VGG19, AlexNet, Texture
+from anystyle.vision.vgg import VGG16, VGG19, AdainVGG, AlexNet, Texture
 from anystyle.vision.weights import published
 
 NETWORKS: dict[str, type[FeatureNetwork]] = {
@@ -21,6 +21,7 @@ NETWORKS: dict[str, type[FeatureNetwork]] = {
     "alexnet": AlexNet,
     "efficientnet_lite0": EfficientNetLite0,
     "texture": Texture,
+    "vgg_normalised": AdainVGG,
 }
 """By name, which is also that of their weights in :mod:`anystyle.vision.weights`."""
 

@@ -50,6 +50,26 @@ class VGG19(Chain):
         super().__init__(_vgg(BLOCKS_19), _names(BLOCKS_19))
 
 
+class AdainVGG(FeatureNetwork):
+    """VGG-19 up to ``relu5_1`` as style transfer by AdaIN knows it, under the keys of its file, ``vgg_normalised.pth``.
+
+    A convolution of colours leads, borders are reflected, poolings round up. Images are normalised as for ImageNet, as
+    Stylos does; the file was made for images in [0, 1].
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        stages = [nn.Conv2d(3, 3, 1), *_reflecting(BLOCKS_19)]
+        ends = [index for index, stage in enumerate(stages) if isinstance(stage, nn.MaxPool2d)]
+        self.names = {f"relu{block}_1": start + 3 for block, start in enumerate([0, *ends], start=1)}
+        self.layers = (RGB, *self.names)
+        for index, stage in enumerate(stages[: self.names["relu5_1"] + 1]):
+            self.add_module(str(index), stage)
+
+    def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
+        return walk(nn.Sequential(*self.children()), self.names, images, normalised(images, MEAN, STD), layers)
+
+
 class Texture(Chain):
     """Seven convolutions with reflecting borders and average pooling, 0.32 M parameters.
 
@@ -82,6 +102,15 @@ def _vgg(blocks: Blocks) -> Iterator[nn.Module]:
             yield from (nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True))
             channels = width
         yield nn.MaxPool2d(2)
+
+
+def _reflecting(blocks: Blocks) -> Iterator[nn.Module]:
+    channels = 3
+    for width, num_convolutions in blocks:
+        for _ in range(num_convolutions):
+            yield from (nn.ReflectionPad2d(1), nn.Conv2d(channels, width, 3), nn.ReLU())
+            channels = width
+        yield nn.MaxPool2d(2, ceil_mode=True)
 
 
 def _texture() -> Iterator[nn.Module]:

@@ -76,6 +76,7 @@ class AnySplat(contracts.Backbone):
     """
 
     published: ClassVar[Published | None] = AnySplatCheckpoints()
+    aggregator_type: ClassVar[type[Aggregator]] = Aggregator
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -138,7 +139,7 @@ class AnySplat(contracts.Backbone):
         )
         self.embedder = Embedder(dim, patches, registers=registers, patch_size=patch_size, reference=reference)
         aggregating = partial(block, dim, heads, layer_scale=layer_scale, qk_norm=True)
-        self.aggregator = Aggregator(
+        self.aggregator = self.aggregator_type(
             dim, aggregating, depth=depth, rope_base=rope_base, taps=taps, checkpointing=checkpointing
         )
         trunk = (block(2 * dim, camera_heads, layer_scale=layer_scale) for _ in range(camera_depth))

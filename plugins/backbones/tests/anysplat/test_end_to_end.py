@@ -1,6 +1,5 @@
 """The whole method, from pixels to styled Gaussians, against the published implementation."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,10 +14,10 @@ from anystyle.branch import StyleBranch
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.placements.full import Full
 from anystyle.placements.head import Head
-from anystyle.types import Attributes, Gaussians, Scene, Site, StyleEmbedding, Tokens, Views
+from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens, Views
 from anystyle_backbones.anysplat import AnySplat, keys
 from tests.support import anysplat_reference as reference
-from tests.support.oracle import assert_matches, fill_named, golden, smooth_image
+from tests.support.oracle import fill_named, golden, smooth_image
 
 CHECKPOINTS = keys.AnySplatCheckpoints()
 PLACEMENTS = {"head": Head(), "agg": Full()}
@@ -93,85 +92,16 @@ def inputs(record: Mapping[str, Any]) -> tuple[Views, StyleEmbedding]:
     return Views(images), StyleEmbedding(vector, vector)
 
 
-def check(actual: Tensor, record: Mapping[str, Any]) -> None:
-    assert_matches(actual.reshape(record["shape"]), record, atol=reference.scaled(record))
-
-
-def close(actual: Tensor, expected: Any) -> None:
-    torch.testing.assert_close(actual.flatten(), torch.tensor(expected).flatten(), rtol=0, atol=1e-4)
-
-
 def check_raw(attributes: Attributes, record: Mapping[str, Any], name: str) -> None:
     raw = reference.raw_maps(attributes)
-    check(raw, record[name])
+    reference.check(raw, record[name])
     means = raw.double().mean((0, 1, 3, 4)).numpy()
     np.testing.assert_allclose(means, record[f"{name}_channel_mean"], rtol=1e-4, atol=1e-5)
 
 
 def check_scene(network: Network, scene: Scene, record: Mapping[str, Any]) -> None:
-    check(scene.views.images, record["image"])
-    check(scene.stem.data, record["package_tokens"])
-    for tokens, layer in zip(scene.features.values(), record["layers"], strict=True):
-        check(tokens.data, layer)
-    with torch.no_grad():
-        passes = network.backbone.geometry_head.camera(list(scene.features.values())[-1].data[:, :, 0])
-    close(passes, record["pose_enc_iters"])
-    cameras = scene.cameras
-    close(cameras.world_from_camera, record["c2w"])
-    height, width = cameras.size
-    normalised = cameras.intrinsics / torch.tensor([width, height, 1.0])[:, None]
-    close(normalised, record["K_normalised"])
-    check(scene.geometry.depth, record["depth"])
-    check(scene.geometry.confidence, record["depth_conf"])
-    points = scene.geometry.points(pixel_center=0.0)
-    check(points, record["points"])
-    assert points.norm(dim=-1).mean().item() == pytest.approx(record["scene_scale"], rel=1e-4)
+    reference.check_scene(network.backbone, scene, record)
     check_raw(scene.attributes, record, "raw_base")
-    assert scene.attributes.confidence is not None and scene.clusters is not None
-    check(scene.attributes.confidence, record["fusion_conf"])
-    ratio = scene.clusters.means.shape[1] / math.prod(scene.geometry.depth.shape[1:])
-    assert ratio == pytest.approx(record["voxelize_ratio"], rel=1e-3)
-
-
-def rows_of(scene: Scene, batch: int, cells: Sequence[Sequence[int]], voxel_size: float) -> list[int]:
-    """The Gaussians that stand for voxels."""
-    assert scene.clusters is not None
-    places = (scene.geometry.points(0.0)[batch].flatten(0, 2) / voxel_size).round().long()
-    return [int(scene.clusters.index[batch][(places == torch.tensor(cell)).all(-1)][0]) for cell in cells]
-
-
-def check_gaussians(
-    scene: Scene, gaussians: Gaussians, records: Sequence[Mapping[str, Any]], voxel_size: float
-) -> None:
-    assert scene.clusters is not None
-    for batch, record in enumerate(records):
-        valid = scene.clusters.valid[batch]
-        count = int(valid.sum())
-        assert count == pytest.approx(record["n_voxels"], rel=1e-3)
-        assert list(gaussians.harmonics[batch, valid].mT.shape[1:]) == record["harmonics_shape"][1:]
-        found = {
-            "means": gaussians.means[batch, valid],
-            "scales": gaussians.scales[batch, valid],
-            "rotations_xyzw": gaussians.rotations[batch, valid].roll(-1, -1),
-            "opacities": gaussians.opacities[batch, valid, None],
-            "harmonics_dc": gaussians.harmonics[batch, valid, 0],
-        }
-        for name, values in found.items():
-            for statistic, expected in record["stats"][name].items():
-                power = values.double().mean(0) if statistic == "mean" else values.double().square().mean(0).sqrt()
-                np.testing.assert_allclose(power.numpy(), expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
-        norm = gaussians.harmonics[batch, valid].norm().item()
-        assert norm == pytest.approx(record["stats"]["harmonics_l2"], rel=1e-4)
-        samples = record["samples"]
-        check_samples(found, rows_of(scene, batch, [sample["voxel"] for sample in samples], voxel_size), samples)
-
-
-def check_samples(found: Mapping[str, Tensor], rows: Sequence[int], samples: Sequence[Mapping[str, Any]]) -> None:
-    names = {"mean": "means", "scale": "scales", "rot_xyzw": "rotations_xyzw", "dc": "harmonics_dc"}
-    for row, sample in zip(rows, samples, strict=True):
-        for name, attribute in names.items():
-            np.testing.assert_allclose(found[attribute][row].numpy(), sample[name], rtol=1e-3, atol=2e-4, err_msg=name)
-        assert found["opacities"][row].item() == pytest.approx(sample["opacity"], abs=2e-4)
 
 
 def encoded(network: Network, case: str) -> Scene:
@@ -192,18 +122,18 @@ def check_case(network: Network, case: str) -> None:
     with torch.no_grad():
         check_scene(network, scene, record["base"])
         unstyled = network.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
-        check_gaussians(scene, unstyled, record["unstyled"]["gaussians"], voxel_size)
+        reference.check_gaussians(scene, unstyled, record["unstyled"]["gaussians"], voxel_size)
         for placement, branch in network.branches.items():
             if branch.aggregator is not None:
                 features = branch.aggregator(scene.stem, injected(branch, embedding.vector))
                 for tokens, layer in zip(features.values(), record[f"{placement}/none"]["style_layers"], strict=True):
-                    check(tokens.data, layer)
+                    reference.check(tokens.data, layer)
             styled = every_degree(branch, scene, embedding)
             check_raw(styled, record[f"{placement}/none"], "raw_style")
             for name, attributes in STYLED.items():
                 mixed = scene.attributes.with_(styled.with_degree(branch.sh_degree), attributes)
                 gaussians = network.backbone.adapter(mixed, scene.geometry, scene.clusters)
-                check_gaussians(scene, gaussians, record[f"{placement}/{name}"]["gaussians"], voxel_size)
+                reference.check_gaussians(scene, gaussians, record[f"{placement}/{name}"]["gaussians"], voxel_size)
 
 
 def injected(branch: StyleBranch, vector: Tensor) -> Any:

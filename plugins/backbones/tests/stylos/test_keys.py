@@ -1,0 +1,204 @@
+"""Published checkpoints: names, second names, and strict loading."""
+
+import logging
+import re
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from anystyle.pipeline.weights import load_reference
+from anystyle_backbones.stylos import Stylos, StylosStyle, keys
+from tests.support import stylos_reference
+
+CHECKPOINTS = keys.StylosCheckpoints()
+MASK = "aggregator.patch_embed.mask_token"
+CONFIGURED = {"dl3dv_geo": {}, "co3d_geo_frame_base": {"style_order": "frame"}} | {
+    "co3d_geo_hybrid_base": {"style_order": "hybrid"},
+    "option_crossblock2": {"style_updates": True},
+}
+
+
+def published(backbone: Stylos) -> dict[str, Tensor]:
+    """The tensors of a file, under their first names."""
+    state = backbone.state_dict()
+    names = keys.backbone_names(state)
+    mask = torch.zeros(1, backbone.aggregator.dim, device=next(iter(state.values())).device)
+    found = {name: state[key] for key, name in names.items()} | {MASK: mask}
+    return {n: t[:, :, None, None] if re.search(r"projects\.\d\.weight", n) else t for n, t in found.items()}
+
+
+def aliases(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """What PyTorch's state dict names a second time."""
+    second = {f"style_aggregator.{name}": state[name] for name in state if name.startswith("aggregator.")}
+    patches = {name: name.partition(".")[2] for name in state if name.startswith(keys.PATCHES)}
+    return second | {f"style_aggregator.{rest}": state[name] for name, rest in patches.items()}
+
+
+@pytest.mark.parametrize("name", CONFIGURED)
+def test_numbers_of_published_tensors(name: str) -> None:
+    full = stylos_reference.record()["full"]
+    record = full["other_configs"][name]
+    with torch.device("meta"):
+        state = published(Stylos(**CONFIGURED[name]))
+    assert len(state) == record["n_keys"] and sum(map(Tensor.numel, state.values())) == record["n_params"]
+    assert len(state | aliases(state)) == record["n_keys_with_aliases"]
+    if name == "dl3dv_geo":
+        assert (len(state), len(state | aliases(state))) == (1862, 3416)
+        shapes = stylos_reference.expanded(full["keys"])
+        assert {key: tensor.shape for key, tensor in state.items()} == {key: shapes[key].shape for key in shapes}
+        branch = keys.branch_names(Stylos.make_branch(meta()).state_dict())
+        parts = full["parts"]
+        assert len(branch) == parts["style_aggregator"][0] + parts["style_gaussian_param_head"][0]
+        assert set(branch.values()) <= state.keys()
+
+
+def meta() -> Stylos:
+    with torch.device("meta"):
+        return Stylos()
+
+
+@pytest.fixture(scope="module")
+def small() -> Stylos:
+    torch.manual_seed(0)
+    return Stylos(**Stylos.example(Path()))
+
+
+def encoder(**options: object) -> StylosStyle:
+    return StylosStyle(**(StylosStyle.example(Path()) | {"native_resolution": 56} | options))
+
+
+def lightning(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    whole = {f"model.encoder.{name}": tensor for name, tensor in (state | aliases(state)).items()}
+    others = (
+        "losses.4.net.enc_1.0.weight",
+        "losses.5.clip_model.visual.proj",
+        "model.encoder.distill_depth_head.norm.bias",
+    )
+    return whole | {name: torch.zeros(2) for name in others}
+
+
+@pytest.mark.parametrize("form", ["bare", "hub", "second names alone", "lightning"])
+def test_weights_survive_the_way_there_and_back(small: Stylos, form: str) -> None:
+    state = published(small)
+    firsts = {name: state[name] for name in state if not name.startswith("aggregator.")}
+    given = {
+        "bare": state,
+        "hub": {f"encoder.{name}": tensor for name, tensor in state.items()},
+        "second names alone": {f"encoder.{name}": tensor for name, tensor in (firsts | aliases(state)).items()},
+        "lightning": lightning(state),
+    }[form]
+    torch.manual_seed(1)
+    other, style = Stylos(**Stylos.example(Path())), encoder()
+    branch = other.make_branch()
+    other.load_reference(given)
+    CHECKPOINTS.load("branch", branch, given)
+    CHECKPOINTS.load("style_encoder", style, given)
+    for key, tensor in small.state_dict().items():
+        assert torch.equal(other.state_dict()[key], tensor), key
+    for key, tensor in small.make_branch().state_dict().items():
+        assert torch.equal(branch.state_dict()[key], tensor), key
+    for key, tensor in small.embedder.patches.state_dict().items():
+        assert torch.equal(style.patches.state_dict()[key], tensor), key
+
+
+def test_the_style_encoder_shares_memory_and_the_branch_does_not(small: Stylos) -> None:
+    state = {name: tensor.clone() for name, tensor in published(small).items()}
+    with torch.device("meta"):
+        other, style = Stylos(**Stylos.example(Path())), encoder()
+        branch = other.make_branch()
+    other.load_reference(state)
+    style.load_published(state)
+    CHECKPOINTS.load("branch", branch, state)
+    places = {tensor.data_ptr() for tensor in other.state_dict().values()}
+    assert {tensor.data_ptr() for tensor in style.state_dict().values()} <= places
+    assert not places & {tensor.data_ptr() for tensor in branch.state_dict().values()}
+
+
+def test_second_names_must_be_the_same_tensors(small: Stylos) -> None:
+    state = published(small)
+    both = state | {name: tensor.clone() for name, tensor in aliases(state).items()}
+    CHECKPOINTS.parts(both)
+    both["style_aggregator.patch_embed.norm.bias"] = both["style_aggregator.patch_embed.norm.bias"] + 1
+    with pytest.raises(
+        ValueError, match=r"style_aggregator\.patch_embed\.norm\.bias is not its aggregator\."
+    ) as caught:
+        CHECKPOINTS.parts(both)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            {"style_aggregator.global_blocks.1.qnorm1.bias": None},
+            r"1 missing \(style_aggregator\.global_blocks\.1\.qnorm1",
+        ),
+        (
+            {"style_aggregator.global_blocks.1.extra": (2,)},
+            r"1 unexpected \(style_aggregator\.global_blocks\.1\.extra\)",
+        ),
+        (
+            {"style_aggregator.register_token": (1, 1, 3, 32)},
+            r"1 misshapen \(style_aggregator\.register_token is \[1, 1, 3",
+        ),
+        (
+            {"style_gaussian_param_head.input_merger.0.weight": (2,)},
+            r"1 unexpected \(style_gaussian_param_head\.input_merger",
+        ),
+        ({"style_gaussian_param_head.shallow_extractor.0.weight": (2,)}, "of the type crossattn"),
+        ({"visual.proj": (2,)}, "1 keys that are not Stylos'"),
+    ],
+)
+def test_what_differs_is_told_in_one_line(small: Stylos, changes: dict[str, tuple[int, ...] | None], told: str) -> None:
+    state = published(small)
+    for name, shape in changes.items():
+        if shape is None:
+            del state[name]
+        else:
+            state[name] = torch.zeros(shape)
+    before = {key: tensor.clone() for key, tensor in small.state_dict().items()}
+    with pytest.raises(ValueError, match=told) as caught:
+        small.load_reference(state)
+    assert "\n" not in str(caught.value)
+    assert all(torch.equal(before[key], tensor) for key, tensor in small.state_dict().items())
+
+
+def test_other_files_are_refused() -> None:
+    for state in ({}, {"encoder.aggregator.camera_token": torch.zeros(1, 2, 1, 32)}):
+        with pytest.raises(ValueError, match=r"not Stylos'|no style_aggregator|has no aggregator"):
+            CHECKPOINTS.config(state)
+
+
+@pytest.mark.parametrize("variant", ["global", "frame", "hybrid", "option_crossblock2", "demo"])
+def test_a_file_says_which_network_it_is(variant: str, caplog: pytest.LogCaptureFixture) -> None:
+    shapes = stylos_reference.tiny_shapes(variant)
+    with caplog.at_level(logging.INFO):
+        config = CHECKPOINTS.config(shapes)
+    assert config["backbone.style_order"] == (variant if variant in ("frame", "hybrid") else "global")
+    assert config["backbone.style_updates"] == (variant == "option_crossblock2")
+    assert config["backbone.image_features"] == (variant == "demo")
+    assert config["branch.published"] is True and config["style_encoder"] == "stylos"
+    assert "assumed: backbone.style_taps=[0, 1, 2, 4] backbone.voxel_size=0.002" in caplog.text
+
+
+def test_published_options(caplog: pytest.LogCaptureFixture) -> None:
+    config = CHECKPOINTS.config(stylos_reference.expanded(stylos_reference.record()["full"]["keys"]))
+    options = {name.removeprefix("backbone."): config[name] for name in config if name.startswith("backbone.")}
+    with torch.device("meta"):
+        plain, told = Stylos().state_dict(), Stylos(**options).state_dict()
+    assert {key: tensor.shape for key, tensor in plain.items()} == {key: tensor.shape for key, tensor in told.items()}
+    assert options["style_taps"] == (2, 5, 8, 11) and options["taps"] == (4, 11, 17, 23)
+
+
+def test_a_stylizer_of_a_file_has_all_parts(small: Stylos, tmp_path: Path) -> None:
+    save_file(
+        {f"encoder.{name}": tensor.contiguous() for name, tensor in published(small).items()},
+        tmp_path / "it.safetensors",
+    )
+    stylizer = load_reference(tmp_path / "it.safetensors", overrides=["backbone=stylos"])
+    assert isinstance(stylizer.style_encoder, StylosStyle)
+    ours = stylizer.style_encoder.patches.state_dict()
+    assert all(torch.equal(ours[key], tensor) for key, tensor in small.embedder.patches.state_dict().items())
