@@ -1,6 +1,7 @@
 """The dense prediction transformer's decoder (Ranftl et al., arXiv 2103.13413), as geometry networks use it."""
 
 from collections.abc import Callable, Sequence
+from typing import NotRequired, TypedDict, Unpack
 
 import torch
 import torch.nn.functional as F
@@ -81,47 +82,65 @@ class Fusion(nn.Module):
         """Decode a level to ``size``."""
         x = x if level is None else x + self.level(level)
         # Published in the other order, which gives the same (bilinear weights sum to 1) at a higher cost.
-        return _resized(self.project(self.refine(x)), size)
+        return resized(self.project(self.refine(x)), size)
 
 
 class FusionChain(nn.ModuleList):
-    """Fusions from the coarsest level to the finest."""
+    """Fusions from the coarsest level to the finest.
 
-    def __init__(self, dim: int, *, rectified: bool) -> None:
+    With ``cropped`` the coarsest map is doubled and cropped at the lower right where the next level is smaller, as it
+    is by one where a grid is odd; otherwise it is resized to the next level.
+    """
+
+    def __init__(self, dim: int, *, rectified: bool, cropped: bool = False) -> None:
         super().__init__(Fusion(dim, takes_level=level < 3, rectified=rectified) for level in range(4))
+        self.cropped = cropped
 
     def forward(self, maps: Sequence[Float[Tensor, "M C _ _"]]) -> Float[Tensor, "M C h w"]:
         """The decoded map at eight times the grid of patches, from maps of the levels, the finest first."""
         height, width = _size(maps[0])
-        x = self[3](maps[3], None, _size(maps[2]))
+        rows, columns = _size(maps[2])
+        doubled = 2 * maps[3].shape[-2], 2 * maps[3].shape[-1]
+        x = self[3](maps[3], None, doubled if self.cropped else (rows, columns))[..., :rows, :columns]
         x = self[2](x, maps[2], _size(maps[1]))
         x = self[1](x, maps[1], (height, width))
         return self[0](x, maps[0], (2 * height, 2 * width))
 
 
-class Dpt(nn.Module):
-    """Decodes four levels of patch tokens into a map at the image's size.
+class PyramidOptions(TypedDict):
+    """Options of a :class:`Pyramid` that decoders built on it pass on."""
+
+    dim: int | Sequence[int]
+    channels: Sequence[int]
+    normed: NotRequired[bool]
+    rectified: NotRequired[bool]
+    waves: NotRequired[bool]
+    cropped: NotRequired[bool]
+
+
+class Pyramid(nn.Module):
+    """Decodes four levels of patch tokens into a map at eight times the grid of patches.
 
     Args:
-        dim: Channels of the tokens.
-        features: Channels of the decoder, a multiple of 8; at full size they are half.
+        dim: Channels of the tokens, or of each level's.
+        features: Channels of the decoder, a multiple of 8.
         channels: Channels of the four levels, multiples of 4.
-        hidden: Channels of the last hidden layer.
-        outputs: Channels of the result.
         normed: Whether tokens are normalised ahead of it, by :attr:`norm`.
         rectified: See :class:`ResidualConv`.
+        waves: Whether positions are added to maps; see :func:`add_positions_`.
+        cropped: See :class:`FusionChain`.
     """
 
     def __init__(
         self,
         *,
-        dim: int,
+        dim: int | Sequence[int],
         features: int,
         channels: Sequence[int],
-        hidden: int,
-        outputs: int,
         normed: bool = True,
         rectified: bool = True,
+        waves: bool = True,
+        cropped: bool = False,
     ) -> None:
         super().__init__()
         if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
@@ -129,11 +148,12 @@ class Dpt(nn.Module):
                 f"a decoder of {features} features and levels of {list(channels)} channels; features must be a "
                 "multiple of 8, and the four levels multiples of 4"
             )
-        self.dim, self.width = dim, features // 2
+        dims = [dim] * 4 if isinstance(dim, int) else dim
+        self.dim, self.waves = dims[-1], waves
         fine, medium, _, coarse = channels
-        self.norm = nn.LayerNorm(dim) if normed else nn.Identity()
+        self.norm = nn.LayerNorm(self.dim) if normed else nn.Identity()
         # A 1x1 convolution, on tokens instead of a map: no transposed copy of many channels is needed.
-        self.projects = nn.ModuleList(nn.Linear(dim, width) for width in channels)
+        self.projects = nn.ModuleList(nn.Linear(*pair) for pair in zip(dims, channels, strict=True))
         self.resize = nn.ModuleList(
             [
                 nn.ConvTranspose2d(fine, fine, 4, stride=4),
@@ -143,16 +163,12 @@ class Dpt(nn.Module):
             ]
         )
         self.reduce = nn.ModuleList(nn.Conv2d(width, features, 3, padding=1, bias=False) for width in channels)
-        self.fusions = FusionChain(features, rectified=rectified)
-        self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
-        self.output = nn.Sequential(
-            nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(hidden, outputs, 1)
-        )
+        self.fusions = FusionChain(features, rectified=rectified, cropped=cropped)
 
     @property
     def dtype(self) -> torch.dtype:
         """The dtype of the parameters."""
-        return self.neck.weight.dtype
+        return next(self.parameters()).dtype
 
     def levels(
         self, tokens: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], aspect: float
@@ -162,23 +178,43 @@ class Dpt(nn.Module):
         for level, project, resize, reduce in zip(tokens, self.projects, self.resize, self.reduce, strict=True):
             # Tokens are a channels-last map: convolutions keep that format, and are faster for it.
             small = project(level).unflatten(1, grid).movedim(-1, 1)
-            maps.append(reduce(resize(add_positions_(small, aspect))))
+            maps.append(reduce(resize(add_positions_(small, aspect) if self.waves else small)))
         return maps
+
+
+class Dpt(Pyramid):
+    """Decodes four levels of patch tokens into a map at the image's size.
+
+    Args:
+        features: Channels of the decoder, a multiple of 8; at full size they are half.
+        hidden: Channels of the last hidden layer.
+        outputs: Channels of the result.
+        options: Those of :class:`Pyramid`.
+    """
+
+    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[PyramidOptions]) -> None:
+        super().__init__(features=features, **options)
+        self.width = features // 2
+        self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
+        self.output = nn.Sequential(
+            nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(hidden, outputs, 1)
+        )
 
     def decode(
         self, levels: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], size: tuple[int, int]
     ) -> Float[Tensor, "M E H W"]:
         """A map of ``features / 2`` channels at the image's size from normalised patch tokens, as :meth:`levels`."""
-        return _resized(self.neck(self.fusions(self.levels(levels, grid, size[1] / size[0]))), size)
+        return resized(self.neck(self.fusions(self.levels(levels, grid, size[1] / size[0]))), size)
 
     def predict_(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M H W F"]:
         """The result from a decoded map, which is overwritten."""
-        return self.output(add_positions_(x, x.shape[-1] / x.shape[-2])).movedim(1, -1)
+        return self.output(add_positions_(x, x.shape[-1] / x.shape[-2]) if self.waves else x).movedim(1, -1)
 
 
 def _size(x: Float[Tensor, "M C h w"]) -> tuple[int, int]:
     return x.shape[-2], x.shape[-1]
 
 
-def _resized(x: Float[Tensor, "M C h w"], size: tuple[int, int]) -> Float[Tensor, "M C h2 w2"]:
+def resized(x: Float[Tensor, "M C h w"], size: tuple[int, int]) -> Float[Tensor, "M C h2 w2"]:
+    """Maps brought to a size; corners stay corners."""
     return F.interpolate(x, size=size, mode="bilinear", align_corners=True)

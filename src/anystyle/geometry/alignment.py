@@ -1,8 +1,9 @@
-"""Rigid motions between views from matched points, in closed form and by Gauss-Newton steps."""
+"""Rigid motions from matched points, or from points and the rays they lie on: closed forms and Gauss-Newton steps."""
 
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -54,6 +55,37 @@ def align(matches: MatchedPoints, *, scale: float, rounds: int = 3, steps: int =
     return motion
 
 
+@torch.no_grad()
+def resect(
+    points: Float[Tensor, "M P 3"], rays: Float[Tensor, "M P 2"], *, scale: float, rounds: int = 20, steps: int = 10
+) -> Rigid:
+    """The motion from the points' frame to that of a camera which sees them at image positions ``rays``, robustly.
+
+    Orthogonal iteration (Lu, Hager and Mjolsness 2000) starts with the points as far from the camera as they are from
+    their own origin; Gauss-Newton steps on reprojection errors follow. Errors are weighted as by :func:`align`.
+
+    Args:
+        points: In any frame, ahead of the camera but for outliers.
+        rays: At z = 1.
+        scale: Scale of the Cauchy weights: an error at z = 1.
+        rounds: Of the iteration.
+        steps: Gauss-Newton steps.
+    """
+    directions = F.normalize(F.pad(rays, (0, 1), value=1.0), dim=-1)
+    distance, weight = points.norm(dim=-1, keepdim=True), torch.ones_like(points[..., 0])
+    motion = kabsch(points, directions * distance, weight)
+    for step in range(rounds + steps):
+        local = points @ motion.rotation.mT + motion.translation[:, None]
+        residual = _project(local) - rays
+        weight = (local[..., 2] > 0.05) / (1 + (residual.norm(dim=-1) / scale).square())
+        if step < rounds:
+            distance = (local * directions).sum(-1, keepdim=True).clamp_min(0.05)
+            motion = kabsch(points, directions * distance, weight)
+        else:
+            motion = _moved(motion, _project_jacobian(local) @ _motion_jacobian(local), residual, weight)
+    return motion
+
+
 def _robust_kabsch(matches: MatchedPoints, rounds: int) -> Rigid:
     weight = matches.weight
     motion = kabsch(matches.source, matches.target, weight)
@@ -78,6 +110,16 @@ def _step(motion: Rigid, matches: MatchedPoints, scale: float) -> Rigid:
     ahead = torch.cat([in_target[..., 2] > 0.05, in_source[..., 2] > 0.05], dim=1)
     error = residual.detach().norm(dim=-1) / scale
     weight = torch.cat([matches.weight, matches.weight], dim=1) * ahead / (1 + error.square())
+    return _moved(motion, jacobian, residual, weight)
+
+
+def _moved(
+    motion: Rigid,
+    jacobian: Float[Tensor, "M P 2 6"],
+    residual: Float[Tensor, "M P 2"],
+    weight: Float[Tensor, "M P"],
+) -> Rigid:
+    """The motion after a damped Gauss-Newton step on its left."""
     weighted = jacobian * weight[..., None, None]
     normal = torch.einsum("mpri,mprj->mij", weighted, jacobian)
     gradient = torch.einsum("mpri,mpr->mi", weighted, residual)

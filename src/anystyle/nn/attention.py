@@ -70,13 +70,13 @@ class LayerScale(nn.Module):
 
 
 class Block(nn.Module):
-    """A pre-norm transformer block with LayerScale.
+    """A pre-norm transformer block, with LayerScale unless it is a plain ViT's.
 
     Args:
         dim: Channels.
         heads: Attention heads.
         mlp_ratio: Width of the feed-forward layer, in ``dim``.
-        layer_scale: Initial LayerScale.
+        layer_scale: Initial LayerScale; ``None`` has none.
         ffn: Kind of the feed-forward layer.
         qk_norm: Whether queries and keys are normalised.
         eps: Epsilon of the layer norms.
@@ -88,7 +88,7 @@ class Block(nn.Module):
         heads: int,
         *,
         mlp_ratio: float,
-        layer_scale: float,
+        layer_scale: float | None,
         ffn: Literal["mlp", "swiglu"] = "mlp",
         qk_norm: bool = False,
         eps: float = 1e-5,
@@ -97,10 +97,10 @@ class Block(nn.Module):
         hidden = int(dim * mlp_ratio)
         self.norm1 = nn.LayerNorm(dim, eps=eps)
         self.attn = Attention(dim, heads, qk_norm=qk_norm)
-        self.ls1 = LayerScale(dim, layer_scale)
+        self.ls1 = nn.Identity() if layer_scale is None else LayerScale(dim, layer_scale)
         self.norm2 = nn.LayerNorm(dim, eps=eps)
         self.mlp = SwiGlu(dim, hidden) if ffn == "swiglu" else Mlp(dim, hidden, dim)
-        self.ls2 = LayerScale(dim, layer_scale)
+        self.ls2 = nn.Identity() if layer_scale is None else LayerScale(dim, layer_scale)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
         x = x + self.ls1(self.attn(self.norm1(x), angles))

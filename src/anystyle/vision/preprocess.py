@@ -34,11 +34,15 @@ def resized(
     return F.interpolate(images, size=shape, mode=mode, antialias=True) if shape != (height, width) else images
 
 
-def as_pillow(images: Float[Tensor, "M 3 H W"], shape: tuple[int, int]) -> Float[Tensor, "M 3 h w"]:
-    """Images resized by Pillow as in the published scripts: bilinear with antialiasing, 8 bits before and after."""
+def as_pillow(
+    images: Float[Tensor, "M 3 H W"],
+    shape: tuple[int, int],
+    kernel: Image.Resampling = Image.Resampling.BILINEAR,
+) -> Float[Tensor, "M 3 h w"]:
+    """Images resized by Pillow as in the published scripts: with antialiasing, 8 bits before and after."""
     eight = (images.clamp(0, 1) * 255).round().byte().cpu().permute(0, 2, 3, 1).contiguous().numpy()
     size = shape[1], shape[0]
-    resized = [np.asarray(Image.fromarray(one).resize(size, Image.Resampling.BILINEAR)) for one in eight]
+    resized = [np.asarray(Image.fromarray(one).resize(size, kernel)) for one in eight]
     back = torch.from_numpy(np.stack(resized)).to(images.device).permute(0, 3, 1, 2)
     return back.to(images.dtype).contiguous() / 255
 
