@@ -30,9 +30,10 @@ def load_reference(
 
     Args:
         checkpoint: A state dict, with or without its file's prefixes (``encoder.``, ``model.encoder.``), or a file.
-        style_encoder: Weights of the text and image encoder in their original layout; by default ``longclip_b32``
-            where :func:`anystyle.vision.weights.find` looks. Where they are missing, scenes can be encoded and restyled
-            by embeddings, and asking for an embedding raises a UserError.
+        style_encoder: Weights of the text and image encoder in their original layout; by default the checkpoint's own
+            if it has all of them, else ``longclip_b32`` where :func:`anystyle.vision.weights.find` looks. Where they
+            are missing, scenes can be encoded and restyled by embeddings, and asking for an embedding raises a
+            UserError.
         overrides: In Hydra's grammar, such as ``backbone.voxel_size=0.004`` or ``branch.styled=[color]``.
 
     Returns:
@@ -49,8 +50,11 @@ def load_reference(
     state = _state(checkpoint)
     config = reference_config(state, overrides)
     parts: dict[str, Mapping[str, Tensor]] = {"backbone": state}
-    if "branch" in published_by(config).parts(state):
+    held = published_by(config).parts(state)
+    if "branch" in held:
         parts["branch"] = state
+    if held.get("style_encoder") and style_encoder is None:
+        style_encoder = state
     missing: StyleEncoder | None = None
     try:
         parts["style_encoder"] = _state(style_encoder or ENCODER)

@@ -7,14 +7,13 @@ from typing import Annotated, ClassVar
 
 from anystyle import contracts
 from anystyle.errors import UserError
-from anystyle.nn.attention import Block
 from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive, Range
 from anystyle_backbones.anysplat.adapter import Adapter
-from anystyle_backbones.dpt import Dpt
+from anystyle_backbones.dpt import Dpt, PyramidOptions
 from anystyle_backbones.styl3r.heads import ColorHead, GaussianHead, GeometryHead, PixelDecoder, Styl3rBranch
 from anystyle_backbones.styl3r.keys import Styl3rCheckpoints
-from anystyle_backbones.styl3r.transformer import EPSILON, Aggregator, Embedder, PictureEncoder, TokenStylizer
+from anystyle_backbones.styl3r.transformer import Aggregator, Embedder, PictureEncoder, TokenStylizer
 
 
 class Styl3r(contracts.Backbone):
@@ -49,8 +48,21 @@ class Styl3r(contracts.Backbone):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        trunk = {"resolution": 64, "dim": 32, "depth": 2, "heads": 2, "decoder_dim": 24, "decoder_depth": 4}
-        heads = {"decoder_heads": 2, "features": 16, "channels": (8, 8, 8, 8), "hidden": 8, "sh_degree": 1}
+        trunk: dict[str, object] = {
+            "resolution": 64,
+            "dim": 32,
+            "depth": 2,
+            "heads": 2,
+            "decoder_dim": 24,
+            "decoder_depth": 4,
+        }
+        heads: dict[str, object] = {
+            "decoder_heads": 2,
+            "features": 16,
+            "channels": (8, 8, 8, 8),
+            "hidden": 8,
+            "sh_degree": 1,
+        }
         return trunk | heads | {"scale_unit": 0.01}
 
     def __init__(
@@ -80,22 +92,25 @@ class Styl3r(contracts.Backbone):
             if width % (4 * count):
                 raise UserError(f"{name} is {count}, of {width} channels; those of a head must be a multiple of 4")
         self.patch_size, self.resolution = patch_size, resolution
-        block = partial(Block, dim, heads, mlp_ratio=mlp_ratio, layer_scale=None, eps=EPSILON)
-        encoder = lambda: PictureEncoder(  # noqa: E731
-            dim, (block() for _ in range(depth)), patch_size=patch_size, rope_base=rope_base
-        )
-        decoder = {"depth": decoder_depth, "heads": decoder_heads, "mlp_ratio": mlp_ratio, "rope_base": rope_base}
-        dims = (dim, *(decoder_dim,) * 3)
-        pyramid = partial(
-            dict, dim=dims, features=features, channels=channels, normed=False, rectified=False, waves=False, cropped=True
-        )
+        common = {"mlp_ratio": mlp_ratio, "rope_base": rope_base}
+        encoder = partial(PictureEncoder, dim, patch_size=patch_size, depth=depth, heads=heads, **common)
+        decoder = {"depth": decoder_depth, "heads": decoder_heads, **common}
+        levels: PyramidOptions = {
+            "dim": (dim, *(decoder_dim,) * 3),
+            "channels": channels,
+            "normed": False,
+            "rectified": False,
+            "waves": False,
+            "cropped": True,
+        }
+        pixels = partial(PixelDecoder, features=features, **levels)
         self.embedder = Embedder(encoder(), field_of_view=field_of_view)
         self.aggregator = Aggregator(dim, decoder_dim, **decoder)
-        points = (Dpt(**pyramid(hidden=hidden, outputs=3)) for _ in range(2))
+        points = (Dpt(features=features, hidden=hidden, outputs=3, **levels) for _ in range(2))
         self.geometry_head = GeometryHead(*points, chunk=chunk)
-        color = PixelDecoder(**pyramid(outputs=3 * (sh_degree + 1) ** 2, reads_image=False))
+        color = pixels(outputs=3 * (sh_degree + 1) ** 2, reads_image=False)
         self.gaussian_head = GaussianHead(
-            *(PixelDecoder(**pyramid(outputs=8, reads_image=True)) for _ in range(2)),
+            *(pixels(outputs=8, reads_image=True) for _ in range(2)),
             style_encoder=encoder(),
             stylizer=TokenStylizer(dim, decoder_dim, **decoder),
             color=ColorHead(color, sh_degree=sh_degree, chunk=chunk),

@@ -1,9 +1,8 @@
 """What is read off the tokens: points with the cameras that see them, raw Gaussians, and the styled colours."""
 
 import copy
-import math
 from collections.abc import Callable, Sequence
-from typing import Unpack
+from typing import TypeVar, Unpack
 
 import torch
 import torch.nn.functional as F
@@ -12,21 +11,16 @@ from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.contracts import StylePredictor, style_tokens
-from anystyle.geometry.alignment import resect
-from anystyle.geometry.warp import pixels
-from anystyle.types import Attributes, Cameras, Features, Geometry, Inject, Scene, Site, StyleEmbedding, untouched
+from anystyle.types import Attributes, Features, Geometry, Inject, Scene, Site, StyleEmbedding, untouched
 from anystyle_backbones.dpt import Dpt, Pyramid, PyramidOptions, by_views, resized
-from anystyle_backbones.heads import centred_cameras
+from anystyle_backbones.pointmaps import cameras_of, points_of
 from anystyle_backbones.styl3r.transformer import PictureEncoder, TokenStylizer, symmetric
 
-MOST_POINTS = 4096
-"""Points of a view that its camera is fitted to."""
-LEAST_FIELD, LARGEST_FIELD = math.radians(10), math.radians(150)
-"""Bounds of the estimated field of view along the shorter side."""
+Decoding = TypeVar("Decoding", bound=Pyramid)
 
 
 def first_and_others(
-    first: nn.Module, others: nn.Module, decode: Callable[[nn.Module, slice], Tensor], shape: torch.Size, chunk: int
+    first: Decoding, others: Decoding, decode: Callable[[Decoding, slice], Tensor], shape: torch.Size, chunk: int
 ) -> Float[Tensor, "B V *rest"]:
     """What ``decode`` gives by one decoder for the first view and by another for the rest, some views at a time.
 
@@ -49,11 +43,9 @@ class GeometryHead(contracts.GeometryHead):
     """World points of the pixels, by decoders of the first view and of all others, and cameras that see them.
 
     The world is the frame of the first camera. The network predicts no cameras, and this head is not shown the given
-    ones: the focal length is the one that the first view's points fit best (as in DUSt3R, arXiv 2312.14132, section
-    3.3), the same for all views, with the principal point in the middle; the poses of other views bring their points
-    onto the pixels' rays. Depth is the points' z in their view's camera, and may be negative. Where a photograph is
-    higher than wide, points are in the order of its pixels, as its Gaussians are; the published code has them column
-    by column there, and pairs them with the attributes of other pixels.
+    ones: :func:`~anystyle_backbones.pointmaps.cameras_of` fits them to the points. Depth is the points' z in their
+    view's camera, and may be negative. Where a photograph is higher than wide, points are in the order of its pixels;
+    the published code has them column by column there, and pairs them with the attributes of other pixels.
 
     Args:
         first: Decodes the first view.
@@ -85,52 +77,6 @@ class GeometryHead(contracts.GeometryHead):
         return first_and_others(self.first, self.others, decode, images.shape, self.chunk)
 
 
-def points_of(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-    """Points in the direction of raw ones, at a distance that is exponential in theirs from 0."""
-    distance = raw.norm(dim=-1, keepdim=True)
-    return raw / distance.clamp_min(1e-8) * distance.expm1()
-
-
-@torch.no_grad()
-def cameras_of(points: Float[Tensor, "B V H W 3"]) -> Cameras:
-    """Cameras that see each view's points at its pixels, the first in its place; see :class:`GeometryHead`."""
-    batch, views, height, width, _ = points.shape
-    step = max(1, math.isqrt(height * width // MOST_POINTS))
-    # Few points, and all their digits: normal equations square the condition.
-    chosen = points[:, :, ::step, ::step].double()
-    places = pixels(points[0, 0, :, :, 0].double())[:, ::step, ::step].flatten(1).mT + 0.5  # P 2
-    centred = places - places.new_tensor([width / 2, height / 2])
-    chosen = chosen.flatten(2, 3)  # B V P 3
-    focal = focal_of(chosen[:, 0], centred, min(height, width))  # B
-    rotation = torch.eye(3, dtype=chosen.dtype, device=chosen.device).repeat(batch, views, 1, 1)
-    origin = torch.zeros_like(rotation[..., 0])
-    if views > 1:
-        rays = (centred / focal[:, None, None])[:, None].expand(-1, views - 1, -1, -1).flatten(0, 1)
-        scale = 2 / min(height, width)
-        motion = resect(chosen[:, 1:].flatten(0, 1), rays, scale=scale)
-        turned = motion.rotation.mT
-        rotation[:, 1:] = turned.unflatten(0, (batch, -1))
-        origin[:, 1:] = -torch.einsum("mij,mj->mi", turned, motion.translation).unflatten(0, (batch, -1))
-    tangent = places.new_tensor([height / 2, width / 2]) / focal[:, None]
-    cameras = centred_cameras(rotation, origin, tangent[:, None].expand(-1, views, -1), (height, width))
-    return cameras.to(points.dtype)
-
-
-def focal_of(
-    points: Float[Tensor, "B P 3"], centred: Float[Tensor, "P 2"], short_side: int
-) -> Float[Tensor, " B"]:
-    """The focal length in pixels by which a camera sees its own points at ``centred`` places, robustly (Weiszfeld)."""
-    slopes = points[..., :2] / points[..., 2:].clamp_min(1e-6)
-    weight = (points[..., 2] > 1e-6).to(points.dtype)
-    for _ in range(10):
-        weighted = weight[..., None] * slopes
-        focal = (weighted * centred).sum((1, 2)) / (weighted * slopes).sum((1, 2)).clamp_min(1e-12)
-        error = (centred - focal[:, None, None] * slopes).norm(dim=-1)
-        weight = (points[..., 2] > 1e-6) / error.clamp_min(1e-3)
-    bounds = [short_side / 2 / math.tan(field / 2) for field in (LARGEST_FIELD, LEAST_FIELD)]
-    return focal.clamp(*bounds)
-
-
 class PixelDecoder(Pyramid):
     """A decoder whose map of all features is brought to the image's size, joined by features of the image if asked.
 
@@ -144,9 +90,8 @@ class PixelDecoder(Pyramid):
     def __init__(self, *, features: int, outputs: int, reads_image: bool, **options: Unpack[PyramidOptions]) -> None:
         super().__init__(features=features, **options)
         self.direct = nn.Conv2d(3, features, 7, padding=3) if reads_image else None
-        self.output = nn.Sequential(
-            nn.Conv2d(features, features, 3, padding=1, bias=False), nn.ReLU(inplace=True), nn.Conv2d(features, outputs, 1)
-        )
+        hidden = nn.Conv2d(features, features, 3, padding=1, bias=False)
+        self.output = nn.Sequential(hidden, nn.ReLU(inplace=True), nn.Conv2d(features, outputs, 1))
 
     def predict(
         self, levels: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], images: Float[Tensor, "M 3 H W"]
@@ -245,11 +190,12 @@ class Styl3rBranch(StylePredictor):
     def __init__(self, head: GaussianHead) -> None:
         super().__init__()
         self.styled, self.sh_degree = ("color",), head.color.sh_degree
-        self.aggregator: TokenStylizer = copy.deepcopy(head.stylizer).requires_grad_()
-        self.gaussian_head: ColorHead = copy.deepcopy(head.color).requires_grad_()
+        self.aggregator = copy.deepcopy(head.stylizer).requires_grad_()
+        self.gaussian_head = copy.deepcopy(head.color).requires_grad_()
         self.injectors = nn.ModuleDict()
 
     def forward(self, scene: Scene, embedding: StyleEmbedding) -> Attributes:
+        assert isinstance(self.aggregator, TokenStylizer) and isinstance(self.gaussian_head, ColorHead)
         features = self.aggregator(scene.features[0], style_tokens(embedding))
         color = self.gaussian_head(features, scene.views.images)
         attributes = scene.attributes

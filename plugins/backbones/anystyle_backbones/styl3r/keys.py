@@ -82,12 +82,12 @@ class Styl3rCheckpoints(Published):
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The tensors under their publishers' names, without the prefix of their file."""
         bare = {key.removeprefix("encoder."): tensor for key, tensor in state.items()}
+        advice = "give the file of re10k_2v, re10k_4v or re10k_dl3dv_4v"
         if any(name.startswith(OTHERS) for name in bare):
             raise UserError(
                 "the checkpoint has a structure builder: it is of another network of Styl3R's repository, which that "
-                "does not run; give the file of re10k_2v, re10k_4v or re10k_dl3dv_4v"
+                f"does not run; {advice}"
             )
-        advice = "give the file of re10k_2v, re10k_4v or re10k_dl3dv_4v"
         checked_parts(bare, PARTS, publisher=PUBLISHER, advice=advice)
         if missing := [name for name in MARKS if name not in bare]:
             raise UserError(f"the checkpoint has no {missing[0]}: it is not {PUBLISHER}; {advice}")
@@ -109,11 +109,11 @@ class Styl3rCheckpoints(Published):
     def load(self, part: str, module: nn.Module, state: Mapping[str, Tensor]) -> None:
         """Load a part; all three are in one file, and those on the meta device share its tensors."""
         bare = self.without_prefix(state)
-        aliases = {name: match.expand(r"\1layer") for name in bare if (match := ALIAS.match(name))}
-        for name, stem in aliases.items():
-            own = f"{stem}{int(name.split('.')[-2]) + 1}_rn.weight"
+        aliases = {name: match for name in bare if (match := ALIAS.match(name))}
+        for name, match in aliases.items():
+            own = f"{match[1]}layer{int(match[2]) + 1}_rn.weight"
             if own in bare and not torch.equal(bare[own], bare[name]):
-                raise UserError(f"the checkpoint's {name} is not its {own}, which is the same tensor; get the file again")
+                raise UserError(f"the checkpoint's {name} and {own} are one tensor, and differ; get the file again")
         given = {name: tensor for name, tensor in bare.items() if name not in aliases and not UNUSED.search(name)}
         names = published_names(module.state_dict(), part)
         # A part takes what is its own; what no part takes is found when the backbone, which has them all, is loaded.

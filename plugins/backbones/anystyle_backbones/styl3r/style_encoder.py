@@ -1,25 +1,21 @@
 """The stylizer's encoder of style pictures."""
 
 from collections.abc import Mapping, MutableMapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from anystyle.contracts import StyleEncoder
 from anystyle.errors import UserError
-from anystyle.nn.attention import Block
 from anystyle.ranges import AtLeastOne
 from anystyle.types import Tokens
-from anystyle.vision.preprocess import as_pillow
+from anystyle.vision.preprocess import middle_squares
 from anystyle_backbones.styl3r.keys import Styl3rCheckpoints
-from anystyle_backbones.styl3r.transformer import EPSILON, PictureEncoder, symmetric
+from anystyle_backbones.styl3r.transformer import PictureEncoder, symmetric
 
 _KEPT: MutableMapping[Tensor, tuple[object, Tokens]] = WeakIdKeyDictionary()
 """The tokens of pictures that are in memory, with what else they depend on."""
@@ -65,9 +61,8 @@ class Styl3rStyle(StyleEncoder):
         super().__init__()
         self.dim = self.token_dim = dim
         self.neutral, self.resolution, self.style_range = neutral, resolution, style_range
-        block = partial(Block, dim, heads, mlp_ratio=mlp_ratio, layer_scale=None, eps=EPSILON)
-        blocks = (block() for _ in range(depth))
-        self.encoder = PictureEncoder(dim, blocks, patch_size=patch_size, rope_base=rope_base)
+        options = {"depth": depth, "heads": heads, "mlp_ratio": mlp_ratio, "rope_base": rope_base}
+        self.encoder = PictureEncoder(dim, patch_size=patch_size, **options)
         self._grey = torch.empty(0)
 
     def load_published(self, state: Mapping[str, Tensor]) -> None:
@@ -105,22 +100,3 @@ class Styl3rStyle(StyleEncoder):
     def _tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
         squares = images if self.resolution is None else middle_squares(images, self.resolution)
         return self.encoder((squares if self.style_range == "unit" else symmetric(squares))[:, None])
-
-
-def middle_squares(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 S S"]:
-    """The middle of images in [0, 1] whose shorter side is brought to ``side``; those of this size stay as they are.
-
-    They are resized as published, by Pillow's Lanczos kernel on 8 bits; where the images carry a gradient, by a cubic
-    kernel with antialiasing, which has one.
-    """
-    height, width = images.shape[-2:]
-    if (height, width) == (side, side):
-        return images
-    longer = int(max(height, width) / min(height, width) * side)
-    shape = (side, longer) if height <= width else (longer, side)
-    if images.requires_grad and torch.is_grad_enabled():
-        scaled = F.interpolate(images, size=shape, mode="bicubic", antialias=True, align_corners=False)
-    else:
-        scaled = as_pillow(images, shape, Image.Resampling.LANCZOS)
-    top, left = (round((length - side) / 2) for length in shape)
-    return scaled[..., top : top + side, left : left + side]

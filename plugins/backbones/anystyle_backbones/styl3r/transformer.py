@@ -2,17 +2,16 @@
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.attention import Attention, Block, Mlp, start_as_dino
-from anystyle.nn.tokens import Rotary, grid_of, grid_positions, rotary, rotate
+from anystyle.nn.attention import Block, DecoderBlock, start_as_dino
+from anystyle.nn.tokens import Rotary, grid_of, grid_positions, rotary
 from anystyle.types import Cameras, Features, Inject, Site, Tokens, untouched
 
 _log = logging.getLogger(__name__)
@@ -21,7 +20,7 @@ EPSILON = 1e-6
 """Of all layer norms."""
 
 
-def angles_of(tokens: Tokens, dim: int, *, base: float) -> Rotary:
+def angles_of(tokens: Tokens, *, dim: int, base: float) -> Rotary:
     """Angles of a view's tokens: patches count from (0, 0), special tokens stand below the first column."""
     below = torch.tensor([[float(tokens.grid[0]), 0.0]]).repeat(tokens.special, 1)
     places = torch.cat([below, grid_positions(tokens.grid, special=0) - 1])
@@ -38,16 +37,22 @@ class PictureEncoder(nn.Module):
 
     Args:
         dim: Channels.
-        blocks: Plain ones.
         patch_size: Pixels per patch.
+        depth: Blocks.
+        heads: Attention heads.
+        mlp_ratio: Width of the feed-forward layers, in ``dim``.
         rope_base: Base of the frequencies of the rotary position embedding.
     """
 
-    def __init__(self, dim: int, blocks: Iterable[Block], *, patch_size: int, rope_base: float) -> None:
+    def __init__(
+        self, dim: int, *, patch_size: int, depth: int, heads: int, mlp_ratio: float, rope_base: float
+    ) -> None:
         super().__init__()
-        self.patch_size, self.rope_base = patch_size, rope_base
+        self.patch_size = patch_size
+        self.angles_of = partial(angles_of, dim=dim // heads, base=rope_base)
         self.patches = nn.Conv2d(3, dim, patch_size, stride=patch_size)
-        self.blocks = nn.ModuleList(blocks)
+        block = partial(Block, dim, heads, mlp_ratio=mlp_ratio, layer_scale=None, eps=EPSILON)
+        self.blocks = nn.ModuleList(block() for _ in range(depth))
         self.norm = nn.LayerNorm(dim, eps=EPSILON)
         start_as_dino(self.blocks)
 
@@ -57,9 +62,8 @@ class PictureEncoder(nn.Module):
         data = self.patches(images.flatten(0, 1).to(self.patches.weight.dtype)).flatten(2).mT
         data = data.unflatten(0, images.shape[:2])
         data = data if special is None else torch.cat([special.to(data.dtype), data], dim=2)
-        tokens = Tokens(data.flatten(0, 1)[:, None], grid, special=0 if special is None else special.shape[2])
-        x = tokens.data[:, 0]
-        angles = angles_of(tokens, x.shape[-1] // self.blocks[0].attn.heads, base=self.rope_base)
+        tokens = Tokens(data, grid, special=0 if special is None else special.shape[2])
+        x, angles = data.flatten(0, 1), self.angles_of(tokens)
         for block in self.blocks:
             x = block(x, angles)
         return tokens.with_data(self.norm(x).unflatten(0, images.shape[:2]))
@@ -81,10 +85,7 @@ class Embedder(contracts.Embedder):
 
     def forward(self, images: Float[Tensor, "B V 3 H W"], cameras: Cameras | None = None) -> Tokens:
         """Embed sRGB images in [0, 1]; without cameras, ``field_of_view`` is taken for that of every view."""
-        if cameras is None:
-            units = self._assumed(images)
-        else:
-            units = cameras.resized((1, 1)).intrinsics.to(images)
+        units = self._assumed(images) if cameras is None else cameras.resized((1, 1)).intrinsics.to(images)
         entries = units.flatten(-2).to(self.intrinsics.weight.dtype)
         return self.encoder(symmetric(images), self.intrinsics(entries)[:, :, None])
 
@@ -102,51 +103,6 @@ class Embedder(contracts.Embedder):
         return images.new_tensor(entries).expand(*images.shape[:2], 3, 3)
 
 
-class CrossAttention(nn.Module):
-    """Multi-head attention of queries to a memory, both turned by their positions."""
-
-    def __init__(self, dim: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.projq, self.projk, self.projv, self.proj = (nn.Linear(dim, dim) for _ in range(4))
-
-    def forward(
-        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
-    ) -> Float[Tensor, "M L C"]:
-        pairs = ((self.projq, x), (self.projk, memory), (self.projv, memory))
-        q, k, v = (project(y).unflatten(-1, (self.heads, -1)).transpose(1, 2) for project, y in pairs)
-        q, k = rotate(q, angles), rotate(k, memory_angles)
-        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
-        return self.proj(mixed.transpose(1, 2).flatten(2))
-
-
-class DecoderBlock(nn.Module):
-    """A pre-norm block with cross-attention to a memory after its self-attention.
-
-    Args:
-        dim: Channels.
-        heads: Attention heads.
-        mlp_ratio: Width of the feed-forward layer, in ``dim``.
-    """
-
-    def __init__(self, dim: int, heads: int, *, mlp_ratio: float) -> None:
-        super().__init__()
-        self.norm1, self.norm2, self.norm3, self.norm_y = (nn.LayerNorm(dim, eps=EPSILON) for _ in range(4))
-        self.attn = Attention(dim, heads, qk_norm=False)
-        self.cross_attn = CrossAttention(dim, heads)
-        self.mlp = Mlp(dim, int(dim * mlp_ratio), dim)
-        start_as_dino(self)
-
-    def forward(
-        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
-    ) -> Float[Tensor, "M L C"]:
-        """Tokens after the block; a memory of no tokens adds nothing."""
-        x = x + self.attn(self.norm1(x), angles)
-        if memory.shape[1]:
-            x = x + self.cross_attn(self.norm2(x), self.norm_y(memory), angles, memory_angles)
-        return x + self.mlp(self.norm3(x))
-
-
 def tapped(depth: int) -> tuple[int, int, int, int]:
     """How many blocks are behind a decoder's tokens where heads read them."""
     return 0, depth // 2, depth * 3 // 4, depth
@@ -160,7 +116,7 @@ class Decoder(nn.Module):
 
     def __init__(self, dim: int, width: int, *, depth: int, heads: int, rope_base: float) -> None:
         super().__init__()
-        self.width, self.taps, self.rope_base = width, tapped(depth), rope_base
+        self.width, self.taps = width, tapped(depth)
         self.embed = nn.Linear(dim, width)
         self.norm = nn.LayerNorm(width, eps=EPSILON)
         self.angles_of = partial(angles_of, dim=width // heads, base=rope_base)
@@ -178,12 +134,12 @@ class Aggregator(Decoder, contracts.Aggregator):
     Style does not enter here. Options are explained at :class:`~anystyle_backbones.styl3r.Styl3r`.
     """
 
-    def __init__(
-        self, dim: int, width: int, *, depth: int, heads: int, mlp_ratio: float, rope_base: float
-    ) -> None:
+    def __init__(self, dim: int, width: int, *, depth: int, heads: int, mlp_ratio: float, rope_base: float) -> None:
         super().__init__(dim, width, depth=depth, heads=heads, rope_base=rope_base)
-        block = partial(DecoderBlock, width, heads, mlp_ratio=mlp_ratio)
+        block = partial(DecoderBlock, width, heads, mlp_ratio=mlp_ratio, eps=EPSILON)
         self.first, self.others = (nn.ModuleList(block() for _ in range(depth)) for _ in range(2))
+        start_as_dino(self.first)
+        start_as_dino(self.others)
         self._told = False
 
     @property
@@ -218,11 +174,11 @@ class Aggregator(Decoder, contracts.Aggregator):
 class TokenStylizer(Decoder):
     """The tokens of all views as one sequence, which attends to itself and to the tokens of a style."""
 
-    def __init__(
-        self, dim: int, width: int, *, depth: int, heads: int, mlp_ratio: float, rope_base: float
-    ) -> None:
+    def __init__(self, dim: int, width: int, *, depth: int, heads: int, mlp_ratio: float, rope_base: float) -> None:
         super().__init__(dim, width, depth=depth, heads=heads, rope_base=rope_base)
-        self.blocks = nn.ModuleList(DecoderBlock(width, heads, mlp_ratio=mlp_ratio) for _ in range(depth))
+        block = partial(DecoderBlock, width, heads, mlp_ratio=mlp_ratio, eps=EPSILON)
+        self.blocks = nn.ModuleList(block() for _ in range(depth))
+        start_as_dino(self.blocks)
 
     @property
     def sites(self) -> tuple[Site, ...]:

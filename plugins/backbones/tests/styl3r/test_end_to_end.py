@@ -53,7 +53,7 @@ def watched(modules: Mapping[str, nn.Module]) -> Iterator[dict[str, tuple[Tensor
 
 @torch.no_grad()
 def check_case(parts: Parts, record: Mapping[str, Any]) -> None:
-    backbone, branch, encoder = parts
+    backbone = parts[0]
     head, geometry_head, aggregator, embedder = (
         backbone.gaussian_head, backbone.geometry_head, backbone.aggregator, backbone.embedder
     )  # fmt: skip
