@@ -35,8 +35,11 @@ def first_and_others(
 
 
 def levels_of(features: Features, views: slice, dtype: torch.dtype) -> list[Float[Tensor, "M p C"]]:
-    """Patch tokens of some views of all taps, the earliest first."""
-    return [tokens.patches[:, views].to(dtype).flatten(0, 1) for tokens in features.values()]
+    """Patch tokens of some views of all taps, the earliest first.
+
+    They are contiguous, for products of others are rounded in another way where weights learn, as a branch's do.
+    """
+    return [tokens.patches[:, views].to(dtype).flatten(0, 1).contiguous() for tokens in features.values()]
 
 
 class GeometryHead(contracts.GeometryHead):

@@ -17,7 +17,8 @@ from anystyle.errors import UserError
 from anystyle.published import Published
 from anystyle_backbones.published import checked_parts, count, length, load_renamed, renamed
 
-LAYOUT = PUBLISHER = "Styl3R's"
+LAYOUT = "Styl3R; choose model=styl3r"
+PUBLISHER = "Styl3R's"
 HEADS = ("downstream_head1.", "downstream_head2.", "gaussian_param_head.", "gaussian_param_head2.")
 PARTS = ("backbone.", "token_stylizer.", "gaussian_appearance_head.", *HEADS)
 OTHERS = ("structure_builder.", "gaussian_structure_head.")
@@ -111,11 +112,14 @@ class Styl3rCheckpoints(Published):
         bare = self.without_prefix(state)
         aliases = {name: match for name in bare if (match := ALIAS.match(name))}
         for name, match in aliases.items():
-            own = f"{match[1]}layer{int(match[2]) + 1}_rn.weight"
-            if own in bare and not torch.equal(bare[own], bare[name]):
-                raise UserError(f"the checkpoint's {name} and {own} are one tensor, and differ; get the file again")
+            first = f"{match[1]}layer{int(match[2]) + 1}_rn.weight"
+            if first in bare and not torch.equal(bare[first], bare[name]):
+                raise UserError(f"the checkpoint's {name} and {first} are one tensor, and differ; get the file again")
         given = {name: tensor for name, tensor in bare.items() if name not in aliases and not UNUSED.search(name)}
-        names = published_names(module.state_dict(), part)
+        own = module.state_dict()
+        names = published_names(own, part)
+        if all(name in given and own[key].data_ptr() == given[name].data_ptr() for key, name in names.items()):
+            return  # a part may be named twice, and copying would end the sharing
         # A part takes what is its own; what no part takes is found when the backbone, which has them all, is loaded.
         given = given if part == "backbone" else {name: given[name] for name in names.values() if name in given}
         load_renamed(module, given, names, what=part.replace("_", " "), layout=LAYOUT)
