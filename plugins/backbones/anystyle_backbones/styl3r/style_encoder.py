@@ -70,9 +70,9 @@ class Styl3rStyle(StyleEncoder):
 
     def embed_tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
         """Tokens of sRGB images in [0, 1], kept as long as the images are if they carry no gradient."""
-        if torch.is_grad_enabled():
-            return self._tokens(images)
         weight = self.encoder.norm.weight
+        if torch.is_grad_enabled() and (images.requires_grad or weight.requires_grad):
+            return self._tokens(images)
         state = images._version, weight.data_ptr(), weight._version, weight.dtype, self.resolution, self.style_range
         if images not in _KEPT or _KEPT[images][0] != state:
             _KEPT[images] = state, self._tokens(images)
