@@ -107,8 +107,8 @@ class FusionChain(nn.ModuleList):
         return self[0](x, maps[0], (2 * height, 2 * width))
 
 
-class PyramidOptions(TypedDict):
-    """Options of a :class:`Pyramid` that decoders built on it pass on."""
+class DptTrunkOptions(TypedDict):
+    """Options of a :class:`DptTrunk` that decoders built on it pass on."""
 
     dim: int | Sequence[int]
     channels: Sequence[int]
@@ -118,7 +118,7 @@ class PyramidOptions(TypedDict):
     cropped: NotRequired[bool]
 
 
-class Pyramid(nn.Module):
+class DptTrunk(nn.Module):
     """Decodes four levels of patch tokens into a map at eight times the grid of patches.
 
     Args:
@@ -182,17 +182,17 @@ class Pyramid(nn.Module):
         return maps
 
 
-class Dpt(Pyramid):
+class Dpt(DptTrunk):
     """Decodes four levels of patch tokens into a map at the image's size.
 
     Args:
         features: Channels of the decoder, a multiple of 8; at full size they are half.
         hidden: Channels of the last hidden layer.
         outputs: Channels of the result.
-        options: Those of :class:`Pyramid`.
+        options: Those of :class:`DptTrunk`.
     """
 
-    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[PyramidOptions]) -> None:
+    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[DptTrunkOptions]) -> None:
         super().__init__(features=features, **options)
         self.width = features // 2
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)

@@ -107,7 +107,7 @@ class Block(nn.Module):
         return x + self.ls2(self.mlp(self.norm2(x)))
 
 
-class CrossAttention(nn.Module):
+class MemoryAttention(nn.Module):
     """Multi-head attention of queries to a memory, both turned by their positions."""
 
     def __init__(self, dim: int, heads: int) -> None:
@@ -139,7 +139,7 @@ class DecoderBlock(nn.Module):
         super().__init__()
         self.norm1, self.norm2, self.norm3, self.norm_y = (nn.LayerNorm(dim, eps=eps) for _ in range(4))
         self.attn = Attention(dim, heads, qk_norm=False)
-        self.cross_attn = CrossAttention(dim, heads)
+        self.cross_attn = MemoryAttention(dim, heads)
         self.mlp = Mlp(dim, int(dim * mlp_ratio), dim)
 
     def forward(

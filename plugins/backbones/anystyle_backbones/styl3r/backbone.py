@@ -10,7 +10,7 @@ from anystyle.errors import UserError
 from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive, Range
 from anystyle_backbones.anysplat.adapter import Adapter
-from anystyle_backbones.dpt import Dpt, PyramidOptions
+from anystyle_backbones.dpt import Dpt, DptTrunkOptions
 from anystyle_backbones.styl3r.heads import ColorHead, GaussianHead, GeometryHead, PixelDecoder, Styl3rBranch
 from anystyle_backbones.styl3r.keys import Styl3rCheckpoints
 from anystyle_backbones.styl3r.transformer import Aggregator, Embedder, PictureEncoder, TokenStylizer
@@ -95,7 +95,7 @@ class Styl3r(contracts.Backbone):
         common = {"mlp_ratio": mlp_ratio, "rope_base": rope_base}
         encoder = partial(PictureEncoder, dim, patch_size=patch_size, depth=depth, heads=heads, **common)
         decoder = {"depth": decoder_depth, "heads": decoder_heads, **common}
-        levels: PyramidOptions = {
+        levels: DptTrunkOptions = {
             "dim": (dim, *(decoder_dim,) * 3),
             "channels": channels,
             "normed": False,

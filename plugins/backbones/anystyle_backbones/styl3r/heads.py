@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.contracts import StylePredictor, style_tokens
 from anystyle.types import Attributes, Features, Geometry, Inject, Scene, Site, StyleEmbedding, untouched
-from anystyle_backbones.dpt import Dpt, Pyramid, PyramidOptions, by_views, resized
+from anystyle_backbones.dpt import Dpt, DptTrunk, DptTrunkOptions, by_views, resized
 from anystyle_backbones.pointmaps import cameras_of, points_of
 from anystyle_backbones.styl3r.transformer import PictureEncoder, TokenStylizer, symmetric
 
-Decoding = TypeVar("Decoding", bound=Pyramid)
+Decoding = TypeVar("Decoding", bound=DptTrunk)
 
 
 def first_and_others(
@@ -80,17 +80,17 @@ class GeometryHead(contracts.GeometryHead):
         return first_and_others(self.first, self.others, decode, images.shape, self.chunk)
 
 
-class PixelDecoder(Pyramid):
+class PixelDecoder(DptTrunk):
     """A decoder whose map of all features is brought to the image's size, joined by features of the image if asked.
 
     Args:
         features: Channels of the decoder.
         outputs: Channels of the result.
         reads_image: Whether features of the image, of a convolution, are added.
-        options: Those of :class:`~anystyle_backbones.dpt.Pyramid`.
+        options: Those of :class:`~anystyle_backbones.dpt.DptTrunk`.
     """
 
-    def __init__(self, *, features: int, outputs: int, reads_image: bool, **options: Unpack[PyramidOptions]) -> None:
+    def __init__(self, *, features: int, outputs: int, reads_image: bool, **options: Unpack[DptTrunkOptions]) -> None:
         super().__init__(features=features, **options)
         self.direct = nn.Conv2d(3, features, 7, padding=3) if reads_image else None
         hidden = nn.Conv2d(features, features, 3, padding=1, bias=False)
