@@ -58,7 +58,7 @@ def test_the_experiment_is_the_published_second_stage() -> None:
     config = compose("train", ["experiment=styl3r", "name=x", "out=x"])
     assert (config.loss.content.weight, config.loss.style.weight, config.loss.identity.weight) == (1, 10, 1)
     assert config.loss.identity.pixels == 70 and config.loss.content.layers == ["relu3_1", "relu4_1"]
-    assert config.style_encoder.style_range == "symmetric" and config.styles.text_only == 0
+    assert config.style_encoder.style_range.name == "symmetric" and config.styles.text_only == 0
     assert config.training.learning_rate == 2e-4 and config.training.aggregator_rate == 1
     assert config.trainer.max_steps == 35001 and config.trainer.gradient_clip_val == 0.5 and config.branch.published
 
