@@ -31,12 +31,12 @@ VGG_RULES = [[r"\.weight$", {"scale": 2**0.5}]]
 
 
 @cache
-def filled_vgg_file() -> Path:
-    """A file with the goldens' VGG-19, under the published name and keys."""
+def filled_vgg_file(*, gain: bool = True) -> Path:
+    """A file with the goldens' VGG-19, under the published name and keys; Styl3R's is filled without the gain."""
     folder = mkdtemp(prefix="anystyle-vgg-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     path = Path(folder) / weights.row("vgg19").file
-    torch.save(fill_named(VGG19().state_dict(), VGG_RULES), path)
+    torch.save(fill_named(VGG19().state_dict(), VGG_RULES if gain else ()), path)
     return path
 
 

@@ -27,6 +27,12 @@ RECIPES = {
         *PAPER, "renderer=cpu", "styles=procedural", "style_encoder=tiny", "weights.style_encoder=tiny_style_encoder",
         "training.spread=any", "training.heights=[32,32]", "training.width=32", "training.preview_texts=[a]",
     ),
+    "styl3r": (
+        *STYLE, "branch.published=false", "renderer=cpu", "styles=procedural", "styles.num_styles=2",
+        "style_encoder=tiny", *(f"weights.{part}=null" for part in ("backbone", "branch")),
+        "weights.style_encoder=tiny_style_encoder", "training.spread=any", "training.heights=[32,32]",
+        "training.width=32", *(f"loss.{name}.network=texture" for name in ("content", "style", "identity")),
+    ),
     "tiny_perceptual": (*SCENES, *VALIDATED, "training.batch_size=4", "training.photos=1", "training.pool=8"),
     "tiny_embedding": (*SCENES, *VALIDATED, "training.batch_size=8", "training.photos=2", "training.pool=16"),
     "magenta_text": ("training.batch_size=8", "training.pool=16", "styles.num_styles=16", "validation_steps=1"),

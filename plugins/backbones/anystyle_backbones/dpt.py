@@ -82,7 +82,7 @@ class Fusion(nn.Module):
         """Decode a level to ``size``."""
         x = x if level is None else x + self.level(level)
         # Published in the other order, which gives the same (bilinear weights sum to 1) at a higher cost.
-        return _resized(self.project(self.refine(x)), size)
+        return resized(self.project(self.refine(x)), size)
 
 
 class FusionChain(nn.ModuleList):
@@ -107,8 +107,8 @@ class FusionChain(nn.ModuleList):
         return self[0](x, maps[0], (2 * height, 2 * width))
 
 
-class PyramidOptions(TypedDict):
-    """Options of a :class:`Pyramid` that decoders built on it pass on."""
+class DptTrunkOptions(TypedDict):
+    """Options of a :class:`DptTrunk` that decoders built on it pass on."""
 
     dim: int | Sequence[int]
     channels: Sequence[int]
@@ -118,7 +118,7 @@ class PyramidOptions(TypedDict):
     cropped: NotRequired[bool]
 
 
-class Pyramid(nn.Module):
+class DptTrunk(nn.Module):
     """Decodes four levels of patch tokens into a map at eight times the grid of patches.
 
     Args:
@@ -182,17 +182,17 @@ class Pyramid(nn.Module):
         return maps
 
 
-class Dpt(Pyramid):
+class Dpt(DptTrunk):
     """Decodes four levels of patch tokens into a map at the image's size.
 
     Args:
         features: Channels of the decoder, a multiple of 8; at full size they are half.
         hidden: Channels of the last hidden layer.
         outputs: Channels of the result.
-        options: Those of :class:`Pyramid`.
+        options: Those of :class:`DptTrunk`.
     """
 
-    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[PyramidOptions]) -> None:
+    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[DptTrunkOptions]) -> None:
         super().__init__(features=features, **options)
         self.width = features // 2
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
@@ -204,7 +204,7 @@ class Dpt(Pyramid):
         self, levels: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], size: tuple[int, int]
     ) -> Float[Tensor, "M E H W"]:
         """A map of ``features / 2`` channels at the image's size from normalised patch tokens, as :meth:`levels`."""
-        return _resized(self.neck(self.fusions(self.levels(levels, grid, size[1] / size[0]))), size)
+        return resized(self.neck(self.fusions(self.levels(levels, grid, size[1] / size[0]))), size)
 
     def predict_(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M H W F"]:
         """The result from a decoded map, which is overwritten."""
@@ -215,5 +215,6 @@ def _size(x: Float[Tensor, "M C h w"]) -> tuple[int, int]:
     return x.shape[-2], x.shape[-1]
 
 
-def _resized(x: Float[Tensor, "M C h w"], size: tuple[int, int]) -> Float[Tensor, "M C h2 w2"]:
+def resized(x: Float[Tensor, "M C h w"], size: tuple[int, int]) -> Float[Tensor, "M C h2 w2"]:
+    """Maps brought to a size; corners stay corners."""
     return F.interpolate(x, size=size, mode="bilinear", align_corners=True)

@@ -124,7 +124,8 @@ class SceneLoop:
         cameras, gaussians, views = self.scene.cameras.select([view]), self.splats.gaussians(), self.views[view]
         known = self.scene.geometry
         maps = {"depth": known.depth[:, [view]], "confidence": known.confidence[:, [view]]}
-        geometry = replace(known, cameras=cameras, **maps)
+        points = None if known.pointmap is None else known.pointmap[:, [view]]
+        geometry = replace(known, cameras=cameras, **maps, pointmap=points)
         result = Stylization(
             views=replace(views, cameras=None),
             style=self.style,

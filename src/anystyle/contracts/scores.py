@@ -22,6 +22,8 @@ class Loss(Pluggable, nn.Module, ABC):
     weight: float
     needs_unstyled: bool = False
     """Set by an instance that compares with renders of the unstyled scene, which the training then makes as well."""
+    needs_identity: bool = False
+    """Set by an instance that reads renders in the style of the scene's first photograph, which are then made, too."""
 
     @abstractmethod
     def forward(self, result: Stylization) -> Float[Tensor, ""]:

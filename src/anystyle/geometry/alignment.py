@@ -68,7 +68,7 @@ def resect(
         points: In any frame, ahead of the camera but for outliers.
         rays: At z = 1.
         scale: Scale of the Cauchy weights: an error at z = 1.
-        rounds: Of the iteration.
+        rounds: Rounds of the iteration.
         steps: Gauss-Newton steps.
     """
     directions = F.normalize(F.pad(rays, (0, 1), value=1.0), dim=-1)

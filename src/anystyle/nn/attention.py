@@ -107,6 +107,51 @@ class Block(nn.Module):
         return x + self.ls2(self.mlp(self.norm2(x)))
 
 
+class MemoryAttention(nn.Module):
+    """Multi-head attention of queries to a memory, both turned by their positions."""
+
+    def __init__(self, dim: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.projq, self.projk, self.projv, self.proj = (nn.Linear(dim, dim) for _ in range(4))
+
+    def forward(
+        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
+    ) -> Float[Tensor, "M L C"]:
+        pairs = ((self.projq, x), (self.projk, memory), (self.projv, memory))
+        q, k, v = (project(y).unflatten(-1, (self.heads, -1)).transpose(1, 2) for project, y in pairs)
+        q, k = rotate(q, angles), rotate(k, memory_angles)
+        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
+        return self.proj(mixed.transpose(1, 2).flatten(2))
+
+
+class DecoderBlock(nn.Module):
+    """A pre-norm block with cross-attention to a memory after its self-attention.
+
+    Args:
+        dim: Channels.
+        heads: Attention heads.
+        mlp_ratio: Width of the feed-forward layer, in ``dim``.
+        eps: Epsilon of the layer norms.
+    """
+
+    def __init__(self, dim: int, heads: int, *, mlp_ratio: float, eps: float = 1e-5) -> None:
+        super().__init__()
+        self.norm1, self.norm2, self.norm3, self.norm_y = (nn.LayerNorm(dim, eps=eps) for _ in range(4))
+        self.attn = Attention(dim, heads, qk_norm=False)
+        self.cross_attn = MemoryAttention(dim, heads)
+        self.mlp = Mlp(dim, int(dim * mlp_ratio), dim)
+
+    def forward(
+        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
+    ) -> Float[Tensor, "M L C"]:
+        """Tokens after the block; a memory of no tokens adds nothing."""
+        x = x + self.attn(self.norm1(x), angles)
+        if memory.shape[1]:
+            x = x + self.cross_attn(self.norm2(x), self.norm_y(memory), angles, memory_angles)
+        return x + self.mlp(self.norm3(x))
+
+
 def start_as_dino(module: nn.Module) -> None:
     """Initialise the linear layers of blocks as DINOv2 does."""
     for layer in module.modules():

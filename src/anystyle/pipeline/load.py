@@ -156,6 +156,9 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
                 )
     published = {part: states[file] for part, file in files.items() if part not in ours}
     stylizer, headers = build_and_load(config, ours, published)
+    for parameter in stylizer.branch.parameters() if learns else ():
+        # Parts that come from one published file may share its tensors, and only the branch's change.
+        parameter.data = parameter.data.clone()
     loaded: dict[str, dict[str, Any]] = {}
     for part, file in files.items():
         facts = dict(headers[part].provenance) if part in headers else {}

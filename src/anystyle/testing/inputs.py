@@ -103,6 +103,7 @@ def stylization(
         scene=replace(scene, gaussians=gaussians.map(lambda tensor: 0.9 * tensor)),
         gaussians=gaussians.map(lambda tensor: tensor.clone().requires_grad_()),
         renders=renders.map(lambda tensor: tensor.clone().requires_grad_()),
+        identity=renders.map(lambda tensor: tensor.flip(1).clone().requires_grad_()),
     )
 
 

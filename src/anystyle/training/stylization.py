@@ -157,8 +157,12 @@ class StylizationTraining(Training):
         style = batch.style
         assert style is not None
         views = batch.inputs
-        scene = self.encoded(Views(images=views.images), batch.keys)
-        gaussians, unstyled = self.stylizer.restyle(scene, embedding), None
+        cameras = views.cameras if self.stylizer.backbone.embedder.reads_cameras else None
+        scene = self.encoded(Views(images=views.images, cameras=cameras), batch.keys)
+        gaussians, unstyled, identity = self.stylizer.restyle(scene, embedding), None, None
+        if any(loss.needs_identity for loss in self.losses.values()):
+            own = self.embed(Style(image=views.images[:, 0]), self.global_step)
+            identity = self._render(self.stylizer.restyle(scene, own), scene)
         with torch.autocast(views.images.device.type, enabled=False):
             renders = self._render(gaussians, scene)
             if any(loss.needs_unstyled for loss in self.losses.values()):
@@ -166,10 +170,11 @@ class StylizationTraining(Training):
                     unstyled = self._render(self.stylizer.unstyled(scene), scene)
         if not self.text_step_images and self.is_text_step(self.global_step):
             style = replace(style, image=None, has_image=None)
-        return Stylization(views, style, embedding, scene, gaussians, renders, unstyled)
+        return Stylization(views, style, embedding, scene, gaussians, renders, unstyled, identity)
 
     def _render(self, gaussians: Gaussians, scene: Scene) -> Renders:
-        return self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
+        with torch.autocast(gaussians.means.device.type, enabled=False):
+            return self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
 
     def embed(self, style: Style, step: int) -> StyleEmbedding:
         """The styles of a step, as texts or as images; a row that lacks the one is embedded as the other."""

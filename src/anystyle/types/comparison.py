@@ -62,6 +62,8 @@ class Stylization(Value):
         gaussians: Stylized.
         renders: Renders of the stylized scene at the scene's own cameras.
         unstyled: Renders of the scene without a style, where a loss asks for it (``Loss.needs_unstyled``).
+        identity: Renders of the scene in the style of its first photograph, where a loss asks for it
+            (``Loss.needs_identity``).
     """
 
     views: Views
@@ -71,6 +73,7 @@ class Stylization(Value):
     gaussians: Gaussians
     renders: Renders
     unstyled: Renders | None = None
+    identity: Renders | None = None
 
     def comparison(self) -> Comparison:
         """What metrics compare."""

@@ -1,0 +1,149 @@
+"""Published checkpoints: names, and strict loading."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from anystyle.contracts import Backbone
+from anystyle.pipeline.load import PARTS, assemble
+from anystyle.pipeline.weights import load_reference
+from anystyle.registry.build import build
+from anystyle.registry.compose import compose
+from anystyle.types import Views
+from anystyle_backbones.styl3r import Styl3r, keys
+from tests.support import styl3r_reference as reference
+from tests.support.oracle import smooth_image
+
+CHECKPOINTS = keys.Styl3rCheckpoints()
+State = dict[str, Tensor]
+# What shapes do not tell of a size that is not published.
+OWN = [
+    "backbone=styl3r",
+    "style_encoder=styl3r",
+    "backbone.heads=4",
+    "backbone.decoder_heads=4",
+    "style_encoder.heads=4",
+    "style_encoder.resolution=64",
+]
+
+
+def fresh() -> Styl3r:
+    torch.manual_seed(3)
+    return Styl3r(**reference.TINY)
+
+
+def lightning() -> State:
+    return {f"encoder.{name}": tensor for name, tensor in reference.tiny_weights().items()}
+
+
+@pytest.mark.parametrize("network", ["tiny", "released"])
+def test_names_are_the_published_ones(network: str) -> None:
+    record = reference.record()[network]
+    shapes = reference.shapes(network)
+    lines = "\n".join(f"{name} {'x'.join(map(str, shape))}" for name, shape in sorted(shapes.items()))
+    assert hashlib.sha256(lines.encode()).hexdigest() == record["keys_sha256"]
+    with torch.device("meta"):
+        options = reference.TINY if network == "tiny" else {}
+        own = Styl3r(**options).state_dict()
+    names = keys.published_names(own)
+    aliases = {name for name in shapes if keys.ALIAS.match(name)}
+    unused = {name for name in shapes if keys.UNUSED.search(name)}
+    assert sorted([*names.values(), *aliases, *unused]) == sorted(shapes)
+    assert len(aliases) == 20 and len(unused) == 22
+    assert unused == set(reference.record()["tiny"]["unused"])
+    for key, name in names.items():
+        assert own[key].numel() == torch.Size(shapes[name]).numel(), name
+    sizes = {name: torch.Size(shape).numel() for name, shape in shapes.items() if name not in aliases}
+    assert len(shapes) == record["n_keys"] and sum(sizes.values()) == record["n_params"]
+
+
+def test_the_published_size() -> None:
+    with torch.device("meta"):
+        backbone = build(Backbone, compose("stylize", ["model=styl3r"]).backbone)
+    assert len(keys.published_names(backbone.state_dict())) == 1753
+    found = keys.options_of(
+        {name: torch.empty(shape, device="meta") for name, shape in reference.shapes("released").items()}
+    )
+    node = compose("stylize", ["model=styl3r"]).backbone
+    for option, value in found.items():
+        assert node[option] == (list(value) if isinstance(value, tuple) else value), option
+
+
+def test_files_load_with_and_without_their_prefix() -> None:
+    for state in (reference.tiny_weights(), lightning()):
+        assert CHECKPOINTS.parts(state) == dict.fromkeys(PARTS, True)
+        backbone = fresh()
+        backbone.load_reference(state)
+        own = backbone.state_dict()
+        for key, name in keys.published_names(own).items():
+            assert torch.equal(own[key].flatten(), reference.tiny_weights()[name].flatten()), name
+
+
+def without(name: str) -> Callable[[State], State]:
+    return lambda state: {key: tensor for key, tensor in state.items() if key != f"encoder.{name}"}
+
+
+def changed(name: str, tensor: Tensor) -> Callable[[State], State]:
+    return lambda state: state | {f"encoder.{name}": tensor}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda state: {}, "0 keys that are not Styl3R's"),
+        (changed("lpips.weight", torch.zeros(1)), r"1 keys that are not Styl3R's \(lpips\.weight\)"),
+        (changed("structure_builder.weight", torch.zeros(1)), "another network of Styl3R's repository"),
+        (without(keys.MARKS[0]), "has no token_stylizer.dec_blocks.0.cross_attn.projq.weight"),
+        (without("backbone.enc_norm.bias"), r"1 missing \(backbone\.enc_norm\.bias\)"),
+        (changed("backbone.enc_norm.scale", torch.zeros(64)), r"1 unexpected \(backbone\.enc_norm\.scale\)"),
+        (changed("backbone.enc_norm.bias", torch.zeros(32)), "1 misshapen"),
+        (
+            changed("downstream_head2.dpt.scratch.layer_rn.3.weight", torch.zeros(16, 20, 3, 3)),
+            "one tensor, and differ",
+        ),
+    ],
+)
+def test_what_is_not_the_file_is_refused_in_one_line(change: Callable[[State], State], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        fresh().load_reference(change(lightning()))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_checkpoint_becomes_a_stylizer_by_one_call(tmp_path: Path) -> None:
+    file = tmp_path / "model.ckpt"
+    torch.save({"state_dict": lightning()}, file)
+    stylizer = load_reference(file, overrides=OWN)
+    assert not any(tensor.is_meta for tensor in stylizer.state_dict().values())
+    scene = stylizer.encode(Views(smooth_image(1, (1, 2, 3, 32, 48))))
+    styled = stylizer.restyle(scene, stylizer.embed(image=smooth_image(2, (1, 3, 80, 64))))
+    assert bool(styled.harmonics.isfinite().all()) and not torch.equal(
+        styled.harmonics, stylizer.unstyled(scene).harmonics
+    )
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_parts_share_the_tensors_of_their_file_unless_they_learn(tmp_path: Path, learns: bool) -> None:
+    file = tmp_path / "model.ckpt"
+    torch.save({"state_dict": lightning()}, file)
+    tiny = [
+        f"backbone.{key}={list(value) if isinstance(value, tuple) else value}" for key, value in reference.TINY.items()
+    ]
+    tiny += [f"style_encoder.{key}={value}" for key, value in reference.DIMS.items()]
+    config = compose("stylize", ["model=styl3r", *tiny, *(f"weights.{part}={file}" for part in PARTS)])
+    stylizer, found = assemble(config, learns=learns)
+    assert set(found) == set(PARTS)
+    head, branch = stylizer.backbone.gaussian_head, stylizer.branch
+    encoder = stylizer.style_encoder.get_parameter("encoder.norm.weight")
+    assert encoder.data_ptr() == head.get_parameter("style_encoder.norm.weight").data_ptr()
+    shared = (
+        branch.get_parameter("aggregator.norm.weight").data_ptr()
+        == head.get_parameter("stylizer.norm.weight").data_ptr()
+    )
+    assert shared is not learns
+    own = stylizer.backbone.state_dict()
+    for key, name in keys.published_names(own).items():
+        assert torch.equal(own[key].flatten(), reference.tiny_weights()[name].flatten()), name
