@@ -110,6 +110,7 @@ class Dpt(nn.Module):
         outputs: Channels of the result.
         normed: Whether tokens are normalised ahead of it, by :attr:`norm`.
         rectified: See :class:`ResidualConv`.
+        bias: Whether the last hidden layer has one.
     """
 
     def __init__(
@@ -122,6 +123,7 @@ class Dpt(nn.Module):
         outputs: int,
         normed: bool = True,
         rectified: bool = True,
+        bias: bool = True,
     ) -> None:
         super().__init__()
         if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
@@ -146,7 +148,9 @@ class Dpt(nn.Module):
         self.fusions = FusionChain(features, rectified=rectified)
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
         self.output = nn.Sequential(
-            nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(hidden, outputs, 1)
+            nn.Conv2d(features // 2, hidden, 3, padding=1, bias=bias),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(hidden, outputs, 1),
         )
 
     @property

@@ -101,23 +101,26 @@ class GeometryHead(contracts.GeometryHead):
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
+        last = features[self.taps[-1]]
+        with torch.autocast(images.device.type, enabled=False):
+            # Cameras too: under autocast a product of matrices would leave poses with three digits.
+            cameras = self.camera.cameras(last.data[:, :, 0].to(self.depth.dtype), (images.shape[-2], images.shape[-1]))
+        depth, confidence = self.decoded(self.depth, features, images).exp().unbind(-1)
+        geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+        return geometry if self.aligner is None else self.aligner.aligned(geometry, images, last.reference)
+
+    def decoded(self, dpt: Dpt, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V H W F"]:
+        """What a decoder predicts at the images' size, in fp32."""
         size, levels = (images.shape[-2], images.shape[-1]), [features[layer] for layer in self.taps]
         batch, views = images.shape[:2]
 
-        def decode(chosen: slice) -> Float[Tensor, "B v H W 2"]:
-            patches = (level.patches[:, chosen].to(self.depth.dtype) for level in levels)
-            decoded = self.depth.decode(
-                [self.depth.norm(each).flatten(0, 1) for each in patches], levels[-1].grid, size
-            )
-            return self.depth.predict_(decoded).unflatten(0, (batch, -1))
+        def decode(chosen: slice) -> Float[Tensor, "B v H W F"]:
+            patches = (level.patches[:, chosen].to(dpt.dtype) for level in levels)
+            decoded = dpt.decode([dpt.norm(each).flatten(0, 1) for each in patches], levels[-1].grid, size)
+            return dpt.predict_(decoded).unflatten(0, (batch, -1))
 
         with torch.autocast(images.device.type, enabled=False):
-            # Cameras too: under autocast a product of matrices would leave poses with three digits.
-            cameras = self.camera.cameras(levels[-1].data[:, :, 0].to(self.depth.dtype), size)
-            logs = by_views(decode, views, max(1, self.chunk // batch))
-        depth, confidence = logs.float().exp().unbind(-1)
-        geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        return geometry if self.aligner is None else self.aligner.aligned(geometry, images, levels[-1].reference)
+            return by_views(decode, views, max(1, self.chunk // batch)).float()
 
 
 def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int) -> None:
