@@ -61,13 +61,16 @@ class WorldMirror(contracts.Backbone):
         scale_max: Largest scale of a Gaussian, in world units.
         chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it affects only memory.
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
+        init: ``published``: initial values as DINOv2's and VGGT's; ``scratch``: values from which photographs are
+            reproduced on a plane at depth 1, for training without pretrained weights (see
+            :mod:`anystyle_backbones.scratch`). The computation is the same.
     """
 
     published: ClassVar[Published | None] = WorldMirrorCheckpoints()
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        shared = {name: value for name, value in initial.SMALL_NETWORK.items() if name not in ("sh_degree", "init")}
+        shared = {name: value for name, value in initial.SMALL_NETWORK.items() if name != "sh_degree"}
         depths = {"embed_depth": 1, "depth": 5, "taps": (1, 2, 3, 4), "camera_depth": 1, "camera_heads": 2}
         widths = {"depth_hidden": 8, "gaussian_features": 16, "gaussian_hidden": 8}
         return {**shared, **depths, **widths, "voxel_size": 0.02}
@@ -102,6 +105,7 @@ class WorldMirror(contracts.Backbone):
         scale_max: float = 0.3,
         chunk: AtLeastOne = 4,
         checkpointing: bool = False,
+        init: Literal["published", "scratch"] = "published",
     ) -> None:
         super().__init__()
         check_options(dim=dim, heads=heads, taps=taps, first=0, depth=depth)
@@ -138,9 +142,11 @@ class WorldMirror(contracts.Backbone):
         direct = nn.Conv2d(3, dpt.width, 7, padding=3)
         self.gaussian_head = GaussianHead(dpt, direct, taps=taps, chunk=chunk, fused=fuse)
         self.adapter = Adapter(fuse=fuse, voxel_size=voxel_size, scale_max=scale_max)
-        start_geometry(self.embedder, self.geometry_head)
-        initial.start_small(self.geometry_head.placing.output[2])
-        start_gaussians(self.gaussian_head, initial.PIXELS * 2 * math.tan(initial.FIELD_OF_VIEW / 2) / resolution)
+        if init == "scratch":
+            start_geometry(self.embedder, self.geometry_head)
+            initial.start_small(self.geometry_head.placing.output[2])
+            footprint = 2 * math.tan(initial.FIELD_OF_VIEW / 2) / resolution  # of a pixel at depth 1
+            start_gaussians(self.gaussian_head, initial.PIXELS * footprint)
 
 
 @torch.no_grad()

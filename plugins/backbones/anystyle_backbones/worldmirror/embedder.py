@@ -20,7 +20,7 @@ FEW = 10
 class Embedder(transformer.Embedder, contracts.Embedder):
     """AnySplat's embedder with two more tokens a view behind the registers: its pose and its lens.
 
-    A token of what is not known, or not to be read (``known``), is zero. Other options are explained at
+    A token of what is not known, or not to be read, is zero. Options are explained at
     :class:`~anystyle_backbones.worldmirror.WorldMirror`.
     """
 
@@ -36,22 +36,24 @@ class Embedder(transformer.Embedder, contracts.Embedder):
         known: Literal["nothing", "lenses", "cameras"],
     ) -> None:
         super().__init__(dim, patches, registers=registers, patch_size=patch_size, reference="first", blank=2)
-        self.known: Literal["nothing", "lenses", "cameras"] = known
-        self.pose, self.lens = (
-            nn.Sequential(nn.Linear(numbers, dim), nn.SiLU(), nn.Linear(dim, dim)) for numbers in (7, 4)
-        )
+        self.pose = _embedding(7, dim) if known == "cameras" else None
+        self.lens = _embedding(4, dim) if known != "nothing" else None
 
     def forward(self, images: Float[Tensor, "B V 3 H W"], cameras: Cameras | None = None) -> Tokens:
         """Embed sRGB images in [0, 1]."""
         tokens = super().forward(images)
-        if cameras is None or self.known == "nothing":
+        if cameras is None or self.lens is None:
             return tokens
         pose, lens = tokens.data[:, :, tokens.special - 2 : tokens.special].unbind(2)
-        if self.known == "cameras":
+        if self.pose is not None:
             pose = self.pose(pose_encoding(cameras.world_from_camera).to(pose.dtype))
         lens = self.lens(lens_encoding(cameras).to(lens.dtype))
         leading = tokens.data[:, :, : tokens.special - 2]
         return tokens.with_data(torch.cat([leading, torch.stack([pose, lens], dim=2), tokens.patches], dim=2))
+
+
+def _embedding(numbers: int, dim: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(numbers, dim), nn.SiLU(), nn.Linear(dim, dim))
 
 
 def pose_encoding(poses: Float[Tensor, "B V 4 4"]) -> Float[Tensor, "B V 7"]:

@@ -19,11 +19,12 @@ TRUNK, RENDERER = "visual_geometry_transformer.", "gs_renderer.gs_head."
 PARTS = (TRUNK, "cam_head.", "depth_head.", "gs_head.", RENDERER, "pts_head.", "norm_head.")
 UNUSED = {
     r"visual_geometry_transformer\.patch_embed\.mask_token$": "the published network never reads it",
+    r"visual_geometry_transformer\.(pose|ray)_embed\.": "read known cameras; used with that `known`",
     r"visual_geometry_transformer\.depth_embed\.": "reads known depth, which no embedder here is given",
     r"pts_head\.": "predicts points, which no Gaussian is placed by",
     r"norm_head\.": "predicts normals, which nothing here reads",
 }
-"""Published tensors without a place here, by regular expression, and why."""
+"""Published tensors without a place here, or with one by an option alone, by regular expression, and why."""
 
 _RULES = (
     (r"^embedder\.patches\.proj\.", f"{TRUNK}patch_embed.patch_embed.proj."),
@@ -69,9 +70,10 @@ class WorldMirrorCheckpoints(Published):
         """Load the file into a backbone of the same options."""
         if part != "backbone":
             raise UserError("the checkpoint holds no style branch; give one that anystyle trained, or null")
-        unused = re.compile("|".join(UNUSED))
-        given = {name: tensor for name, tensor in _checked(state).items() if not unused.match(name)}
-        load_renamed(module, given, backbone_names(module.state_dict()), what="backbone", layout=LAYOUT)
+        names, unused = backbone_names(module.state_dict()), re.compile("|".join(UNUSED))
+        read = set(names.values())
+        given = {name: value for name, value in _checked(state).items() if name in read or not unused.match(name)}
+        load_renamed(module, given, names, what="backbone", layout=LAYOUT)
 
 
 def _checked(state: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
