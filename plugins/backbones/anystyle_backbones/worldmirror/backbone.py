@@ -40,16 +40,11 @@ class WorldMirror(contracts.Backbone):
         embed_depth: Blocks of the embedder.
         depth: Pairs of frame and global blocks.
         heads: Attention heads of the transformers.
-        mlp_ratio: Width of all MLPs of transformers, in their channels.
-        registers: Register tokens a view.
-        rope_base: Base of the frequencies of the rotary position embedding.
-        layer_scale: Initial LayerScale of the aggregator and the camera head.
         known: What is read of cameras where views have them: ``nothing``, ``lenses`` (intrinsics), or ``cameras``,
             lenses and poses. Cameras are predicted all the same, in a frame of their own.
         taps: The four layers that the heads read; the last is the aggregator's last.
         camera_depth: Blocks of the camera head.
         camera_heads: Its attention heads.
-        camera_iterations: Its passes.
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
         depth_hidden: Channels of the last hidden layers that predict a depth.
@@ -85,15 +80,10 @@ class WorldMirror(contracts.Backbone):
         embed_depth: int = 24,
         depth: int = 24,
         heads: int = 16,
-        mlp_ratio: float = 4.0,
-        registers: int = 4,
-        rope_base: float = 100.0,
-        layer_scale: float = 0.01,
         known: Literal["nothing", "lenses", "cameras"] = "nothing",
         taps: Sequence[int] = (4, 11, 17, 23),
         camera_depth: int = 4,
         camera_heads: int = 16,
-        camera_iterations: int = 4,
         depth_features: int = 256,
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
         depth_hidden: int = 32,
@@ -114,18 +104,18 @@ class WorldMirror(contracts.Backbone):
                 f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels"
             )
         self.patch_size, self.resolution = patch_size, resolution
-        block = partial(Block, mlp_ratio=mlp_ratio)
+        block = partial(Block, mlp_ratio=4.0, layer_scale=0.01)
         embedding = (block(dim, heads, layer_scale=1.0, eps=1e-6) for _ in range(embed_depth))
         patches = DinoV2(dim, embedding, patch_size=patch_size, grid=native_resolution // patch_size)
-        self.embedder = Embedder(dim, patches, registers=registers, patch_size=patch_size, known=known)
-        aggregating = partial(block, dim, heads, layer_scale=layer_scale, qk_norm=True)
+        self.embedder = Embedder(dim, patches, registers=4, patch_size=patch_size, known=known)
+        aggregating = partial(block, dim, heads, qk_norm=True)
         self.aggregator = Aggregator(
-            dim, aggregating, depth=depth, rope_base=rope_base, taps=taps, checkpointing=checkpointing
+            dim, aggregating, depth=depth, rope_base=100.0, taps=taps, checkpointing=checkpointing
         )
-        trunk = (block(2 * dim, camera_heads, layer_scale=layer_scale) for _ in range(camera_depth))
+        trunk = (block(2 * dim, camera_heads) for _ in range(camera_depth))
         depth_decoder = partial(Dpt, dim=2 * dim, hidden=depth_hidden, outputs=2)
         self.geometry_head = GeometryHead(
-            CameraHead(2 * dim, trunk, iterations=camera_iterations, focal_epsilon=0.0),
+            CameraHead(2 * dim, trunk, iterations=4, focal_epsilon=0.0),
             depth_decoder(features=depth_features, channels=depth_channels),
             depth_decoder(features=gaussian_features, channels=gaussian_channels),
             taps=taps,

@@ -81,30 +81,18 @@ def _checked(state: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
     return state
 
 
-PUBLISHED_TAPS, PUBLISHED_DEPTH = (4, 11, 17, 23), 24
-
-
 def options_of(state: Mapping[str, Tensor]) -> dict[str, object]:
-    """Options of the backbone that a checkpoint fits.
-
-    Which layers heads read, and heads of the camera head, cannot be seen; they are taken as for AnySplat.
-    """
+    """Options of the backbone, as far as shapes tell: not the layers that heads read, nor heads of the camera head."""
     of = partial(length, state, publisher=PUBLISHER)
     dim, patch_size = (of(f"{TRUNK}patch_embed.patch_embed.proj.weight", axis) for axis in (0, 3))
-    depth = count(state, f"{TRUNK}frame_blocks.")
-    heads = dim // of(f"{TRUNK}frame_blocks.0.attn.q_norm.weight", 0)
     return {
         "patch_size": patch_size,
         "native_resolution": patch_size * math.isqrt(of(f"{TRUNK}patch_embed.pos_embed", 1) - 1),
         "dim": dim,
         "embed_depth": count(state, f"{TRUNK}patch_embed.blocks."),
-        "depth": depth,
-        "heads": heads,
-        "mlp_ratio": of(f"{TRUNK}frame_blocks.0.mlp.fc1.weight", 0) / dim,
-        "registers": of(f"{TRUNK}reg_token", 2),
-        "taps": tuple(math.ceil(layer * (depth - 1) / (PUBLISHED_DEPTH - 1)) for layer in PUBLISHED_TAPS),
+        "depth": count(state, f"{TRUNK}frame_blocks."),
+        "heads": dim // of(f"{TRUNK}frame_blocks.0.attn.q_norm.weight", 0),
         "camera_depth": count(state, "cam_head.refine_net."),
-        "camera_heads": heads,
         "depth_hidden": of("depth_head.scratch.output_conv2.0.weight", 0),
         "gaussian_hidden": of(f"{RENDERER}0.weight", 0),
         **decoder_options(of, "depth_head", "depth"),

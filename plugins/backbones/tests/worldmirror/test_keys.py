@@ -48,7 +48,7 @@ def test_options_read_off_shapes_are_the_constructor_s() -> None:
     defaults = {f"backbone.{name}": value for name, value in (WorldMirror.__init__.__kwdefaults__ or {}).items()}
     assert found.pop("branch.sh_degree") == 0
     assert {name: defaults[name] for name in found} == found
-    assert {"backbone.taps", "backbone.dim", "backbone.gaussian_hidden", "backbone.registers"} <= set(found)
+    assert {"backbone.dim", "backbone.depth", "backbone.gaussian_hidden", "backbone.gaussian_channels"} <= set(found)
 
 
 @pytest.mark.parametrize(
@@ -75,8 +75,9 @@ def test_no_branch_is_published() -> None:
 def test_a_checkpoint_becomes_a_stylizer_by_one_call(tmp_path: Path) -> None:
     save_file(reference.tiny_weights(), tmp_path / "model.safetensors")
     # What shapes do not tell of a size that is not published.
-    own = ["backbone=worldmirror", "backbone.taps=[1,3,4,5]", "backbone.voxel_size=0.05", "injector.hidden=8"]
-    stylizer = load_reference(tmp_path / "model.safetensors", overrides=own)
+    own = ["backbone.taps=[1,3,4,5]", "backbone.camera_heads=4", "backbone.voxel_size=0.05"]
+    overrides = ["backbone=worldmirror", *own, "injector.hidden=8"]
+    stylizer = load_reference(tmp_path / "model.safetensors", overrides=overrides)
     assert not any(tensor.is_meta for tensor in stylizer.backbone.state_dict().values())
     with torch.no_grad():
         scene = stylizer.encode(Views(smooth_image(1, (1, 2, 3, 28, 42))))
