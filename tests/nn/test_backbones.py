@@ -1,4 +1,4 @@
-"""What both backbones of the repository do, whatever their weights."""
+"""What the backbones of the repository do, whatever their weights."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from tests.support.backbone_cases import network, same, views
 from tests.support.oracle import hashed
 
 
-@pytest.fixture(scope="module", params=["anysplat", "depth_anything"])
+@pytest.fixture(scope="module", params=["anysplat", "depth_anything", "worldmirror"])
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
 
@@ -48,7 +48,7 @@ def test_checkpointing_changes_no_gradient(name: str) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float64])
 def test_other_precisions(name: str, dtype: torch.dtype) -> None:
-    backbone = network(name, **({"fuse": False} if name == "anysplat" else {}))
+    backbone = network(name, **({} if name == "depth_anything" else {"fuse": False}))
     with torch.no_grad():
         expected = backbone.encode(views(2))
         scene = backbone.to(dtype).encode(views(2))
@@ -124,7 +124,7 @@ def test_options_that_contradict_each_other(name: str, options: dict[str, Any], 
         network(name, **options)
 
 
-@pytest.mark.parametrize("name", ["anysplat", "depth_anything"])
+@pytest.mark.parametrize("name", ["anysplat", "depth_anything", "worldmirror"])
 def test_a_chunk_of_nothing_is_refused_where_a_configuration_is_built(name: str) -> None:
     with pytest.raises(ValueError, match="chunk=0: expected int >= 1"):
         build(Backbone, {"_target_": catalog().find("backbone", name).path, "chunk": 0})

@@ -124,14 +124,19 @@ class GeometryHead(contracts.GeometryHead):
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
-        size, levels = (images.shape[-2], images.shape[-1]), [features[layer] for layer in self.taps]
+        last = features[self.taps[-1]]
         with torch.autocast(images.device.type, enabled=False):
             # Cameras too: under autocast a product of matrices would leave poses with three digits.
-            cameras = self.camera.cameras(levels[-1].data[:, :, 0].to(self.depth.dtype), size)
-            logs = decoded_maps(self.depth, levels, size, chunk=self.chunk)
-        depth, confidence = logs.float().exp().unbind(-1)
+            cameras = self.camera.cameras(last.data[:, :, 0].to(self.depth.dtype), (images.shape[-2], images.shape[-1]))
+        depth, confidence = self.decoded(self.depth, features, images).exp().unbind(-1)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        return geometry if self.aligner is None else self.aligner.aligned(geometry, images, levels[-1].reference)
+        return geometry if self.aligner is None else self.aligner.aligned(geometry, images, last.reference)
+
+    def decoded(self, dpt: Dpt, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V H W F"]:
+        """What a decoder predicts at the images' size, in fp32."""
+        size, levels = (images.shape[-2], images.shape[-1]), [features[layer] for layer in self.taps]
+        with torch.autocast(images.device.type, enabled=False):
+            return decoded_maps(dpt, levels, size, chunk=self.chunk).float()
 
 
 def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int) -> None:
