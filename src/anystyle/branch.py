@@ -68,6 +68,7 @@ class StyleBranch(StylePredictor):
             copy.deepcopy(backbone.gaussian_head).requires_grad_() if in_aggregator or in_head else None
         )
         self.injectors = nn.ModuleDict({site.name: make_injector(site) for site in sites})
+        self.reads_tokens = any(isinstance(one, Injector) and one.reads_tokens for one in self.injectors.values())
 
     @property
     def sources(self) -> tuple[Source, ...]:

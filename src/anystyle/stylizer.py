@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, StylePredictor, neutral_embedding
 from anystyle.data.images import read_image
 from anystyle.errors import UserError
-from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
+from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Tokens, Views
 from anystyle.types.shapes import check_tensor
 
 
@@ -104,7 +104,7 @@ class Stylizer(nn.Module):
                 image = read_image(image)[None].to(self.device)
             check_tensor(image, Float[Tensor, "B 3 h w"], "the style image")
             self._check_images(image, "style image")
-            vector, tokens = self.style_encoder.embed_images(image), self.style_encoder.embed_tokens(image)
+            vector, tokens = self.style_encoder.embed_images(image), self.tokens_of(image)
         else:
             given = text if isinstance(text, (list, tuple)) else [text]
             texts = [item for item in given if isinstance(item, str)]
@@ -113,6 +113,10 @@ class Stylizer(nn.Module):
             vector, tokens = self.style_encoder.embed_texts(texts), None
         direction = F.normalize(vector - neutral_embedding(self.style_encoder), dim=-1)
         return StyleEmbedding(vector=vector, direction=direction, tokens=tokens)
+
+    def tokens_of(self, image: Float[Tensor, "B 3 h w"] | None) -> Tokens | None:
+        """The tokens of style images, where the style branch reads them."""
+        return None if image is None or not self.branch.reads_tokens else self.style_encoder.embed_tokens(image)
 
     def restyle(self, scene: Scene, embedding: StyleEmbedding) -> Gaussians:
         """Give an encoded scene a style (paper, equations 5 and 6); several styles of one scene are one batch.

@@ -9,10 +9,9 @@ from scipy.special import expit, softmax
 
 from anystyle.contracts import Injector
 from anystyle.injectors.ada_ln import AdaLN
-from anystyle.injectors.cross_attention import CrossAttention
+from anystyle.injectors.cross_attention import CrossAttention, TokenAttention
 from anystyle.injectors.film import FiLM
 from anystyle.injectors.lora import LoRA
-from anystyle.injectors.token_attention import TokenAttention
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.registry.catalog import catalog
 from anystyle.testing import assert_contract

@@ -103,6 +103,8 @@ class StylePredictor(nn.Module, ABC):
     """What predicts attributes from features; ``None`` if it colours pixels alone."""
     injectors: nn.ModuleDict
     """The injectors by their sites."""
+    reads_tokens: bool = False
+    """Whether it reads the tokens of style images."""
 
     @property
     def sources(self) -> tuple[Source, ...]:

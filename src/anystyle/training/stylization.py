@@ -180,7 +180,7 @@ class StylizationTraining(Training):
         """The styles of a step, as texts or as images; a row that lacks the one is embedded as the other."""
         vector = style_vectors(self.stylizer, style, as_text=self.is_text_step(step))
         neutral = neutral_embedding(self.stylizer.style_encoder)
-        tokens = None if style.image is None else self.stylizer.style_encoder.embed_tokens(style.image)
+        tokens = self.stylizer.tokens_of(style.image)
         return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1), tokens=tokens)
 
     def is_text_step(self, step: int) -> bool:

@@ -190,6 +190,8 @@ class Styl3rBranch(StylePredictor):
     Style touches colours alone, and its tokens may have any grid.
     """
 
+    reads_tokens = True
+
     def __init__(self, head: GaussianHead) -> None:
         super().__init__()
         self.styled, self.sh_degree = ("color",), head.color.sh_degree

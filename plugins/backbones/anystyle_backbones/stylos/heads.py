@@ -85,6 +85,7 @@ class StylosBranch(StylePredictor):
 
     styled = ("color",)
     sh_degree = 0
+    reads_tokens = True
 
     def __init__(self, head: GaussianHead) -> None:
         super().__init__()
