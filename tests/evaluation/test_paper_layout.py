@@ -15,6 +15,7 @@ from anystyle.evaluation.runs import find
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.testing.protocol import runtime
+from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle_datasets.command import Data
 from tests.support.evaluation_cases import Mean, picture
 
@@ -48,6 +49,13 @@ def tables(folder, **options):
     parts = {name: part for name, part in runtime().items() if name == "stylizer"} | {"metrics": {"mean": Mean()}}
     parts |= {"metrics": options.pop("metrics")} if "metrics" in options else {}
     return Tables(**parts, **OPTIONS | {"root": str(folder)} | options)
+
+
+def test_a_model_that_reads_no_texts_has_one_row(root, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(ToyStyleEncoder, "reads_texts", False)
+    found = tables(root, methods=[], photographs=0).run(tmp_path / "out", silent)
+    assert found.provenance["methods"] == ["model_image"]
+    assert caplog.messages[0] == "this model reads no texts: the row model_text is left out"
 
 
 def test_every_method_is_a_row_beside_the_model_and_the_photographs(root, tmp_path):

@@ -111,7 +111,7 @@ class ColorHead(nn.Module):
     """Colours of all views by one decoder, which does not see their pixels.
 
     Args:
-        dpt: Decodes a view; colours first, then the coefficients of each.
+        dpt: Its outputs are colour by colour, the coefficients of each together.
         sh_degree: Degree of the spherical harmonics.
         chunk: Views decoded at a time, which changes memory only.
     """

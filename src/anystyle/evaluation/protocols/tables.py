@@ -1,5 +1,6 @@
 """The paper's tables: a model, the renders of other methods, and the photographs, in one go."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,8 @@ from anystyle.types import OnProgress
 
 PHOTOGRAPHS = "photographs"
 STYLE_SIZE = 256
+
+_log = logging.getLogger(__name__)
 
 
 class Tables(Protocol):
@@ -72,6 +75,9 @@ class Tables(Protocol):
         self.metrics = _metrics_of(metrics, table)
         self.folder = _complete_folder(root, scene_names, num_styles, frames, guides, methods, missing)
         self.guides = tuple(guides)
+        if "text" in self.guides and not stylizer.style_encoder.reads_texts:
+            self.guides = tuple(guide for guide in guides if guide != "text")
+            _log.warning("this model reads no texts: the row model_text is left out")
         self.methods = tuple(self.folder.methods if methods is None else methods)
         self.photographs = min(photographs, num_styles)
         self.variant: Variant = variant
