@@ -20,7 +20,8 @@ MODULES = (
     "anystyle.geometry.transforms",
     "anystyle.registry.build",
     "anystyle.registry.catalog",
-    "anystyle.types.views",
+    "anystyle.testing.oracle",
+    "anystyle.types.network",
     "anystyle.vision.weights.licenses",
     "anystyle_tiny.losses",
 )

@@ -23,6 +23,7 @@ RECIPES = {
     "tiny_paper": PAPER,
     "tiny_ablation": (*PAPER, "cache=null"),
     "tiny_paper_taught": PAPER,
+    "tiny_mechanisms": PAPER,
     "paper_head": (
         *PAPER, "renderer=cpu", "styles=procedural", "style_encoder=tiny", "weights.style_encoder=tiny_style_encoder",
         "training.spread=any", "training.heights=[32,32]", "training.width=32", "training.preview_texts=[a]",
@@ -37,7 +38,7 @@ RECIPES = {
     "tiny_embedding": (*SCENES, *VALIDATED, "training.batch_size=8", "training.photos=2", "training.pool=16"),
     "magenta_text": ("training.batch_size=8", "training.pool=16", "styles.num_styles=16", "validation_steps=1"),
 }  # fmt: skip
-SLOW = ("tiny_ablation", "tiny_perceptual", "tiny_paper_taught", "tiny_embedding", "magenta_text")
+SLOW = ("tiny_ablation", "tiny_perceptual", "tiny_paper_taught", "tiny_mechanisms", "tiny_embedding", "magenta_text")
 """Of equal parts with quicker ones, or without a backbone."""
 
 

@@ -169,7 +169,7 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
             loaded[name] = {"file": source.file, "sha256": source.sha256, "provenance": {}}
     told = {"backbone": ("the backbone", "its scenes mean nothing, for no weights of it are named")}
     if not learns:
-        effect = "its colours mean nothing" if config.branch.published else "changes nothing"
+        effect = "its colours mean nothing" if branch_options(config).published else "changes nothing"
         told["branch"] = ("the style branch", f"{effect}, for no weights of one on this backbone are named")
     for part, (what, why) in told.items():
         if part not in loaded:

@@ -25,6 +25,12 @@ class Identity(Loss):
         layers: Whose features.
         pixels: Weight of the first summand.
         weight: In the objective.
+
+    Example:
+        >>> result, loss = inputs.stylization(), Identity(network="texture", layers=("relu1_1",))
+        >>> same = replace(result.renders, color=result.views.images)
+        >>> print(f"{loss(replace(result, identity=same)):.2f}")
+        0.00
     """
 
     needs_identity = True

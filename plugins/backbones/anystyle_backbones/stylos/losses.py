@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import torch
+import torch.distributed as dist
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
@@ -37,6 +38,13 @@ class AdainVoxels(FeatureLoss):
             voxels ten times as large.
         size: Side of the square that images are first resized to; ``None`` leaves renders as they are.
         weight: In the objective.
+
+    Example:
+        >>> result = inputs.stylization(number=1)
+        >>> loss = AdainVoxels(pool="scene", network="texture", layers=("relu1_1", "relu2_1"), content_weight=0.0)
+        >>> own = replace(result, style=Style(result.renders.color[:, 0]))  # a render in its own style
+        >>> print(f"{loss(own):.2f}")
+        0.00
     """
 
     def __init__(
@@ -71,12 +79,14 @@ class AdainVoxels(FeatureLoss):
         batch, views = result.renders.color.shape[:2]
         photographs = self.targets(result.views.images)
         errors = [F.mse_loss(one, other) for one, other in zip(features[-2:], photographs[-2:], strict=True)]
-        content = torch.stack(errors).sum() * (batch * views if self.pool == "image" else 0.5)
+        # Terms that are means already are divided by the number of rows once more: of the rows of all processes.
+        world = dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
+        content = torch.stack(errors).sum() * (batch * views if self.pool == "image" else 0.5 / world)
         styles, style = style_images(result), features[0].new_zeros(())
         if styles is None:
             return style, content
         painting = F.interpolate(styles[0], result.views.size, mode="bilinear", antialias=True)
-        scale = 1 / batch if self.pool == "scene" else 1.0
+        scale = 1 / (batch * world) if self.pool == "scene" else 1.0
         for weight, of_layer, wanted in zip(self.layer_weights, features, self.targets(painting), strict=True):
             rows = of_layer.unflatten(0, (batch, views))
             for row in styles[1].nonzero().flatten().tolist():
