@@ -74,9 +74,9 @@ class Tables(Protocol):
         self.stylizer, self.method = stylizer, method
         self.metrics = _metrics_of(metrics, table)
         self.folder = _complete_folder(root, scene_names, num_styles, frames, guides, methods, missing)
-        self.guides = tuple(guides)
+        self.guides: tuple[Literal["image", "text"], ...] = tuple(guides)
         if "text" in self.guides and not stylizer.style_encoder.reads_texts:
-            self.guides = tuple(guide for guide in guides if guide != "text")
+            self.guides = tuple(guide for guide in self.guides if guide != "text")
             _log.warning("this model reads no texts: the row model_text is left out")
         self.methods = tuple(self.folder.methods if methods is None else methods)
         self.photographs = min(photographs, num_styles)
