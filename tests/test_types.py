@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import torch
 from scipy.spatial.transform import Rotation
 
@@ -80,3 +82,28 @@ def test_joined_scenes_hold_what_each_held():
     for row, expected in enumerate((1.0, 2.0)):
         assert torch.equal(both.features[4].data[row], torch.full((2, 4, 3), expected))
         assert torch.equal(both.geometry.depth[row], torch.full((2, 6, 8), expected))
+
+
+def test_a_point_map_moves_with_its_cameras_as_depth_does():
+    """Points that lie on their pixels' rays go where unprojected depth goes; others keep their pixel."""
+    generator = torch.Generator().manual_seed(0)
+    # The rotations have the digits of float32.
+    four = cameras(1, 4).to(torch.float64)
+    one, other = four.select([0, 1]), four.select([2, 3])
+    other = replace(other, intrinsics=other.intrinsics * torch.tensor([[1.2], [0.9], [1.0]]).double())
+    depth = 1 + torch.rand(1, 2, 6, 8, generator=generator, dtype=torch.float64)
+    plain = Geometry(one, depth, torch.ones_like(depth))
+    mapped = replace(plain, pointmap=plain.points())
+    torch.testing.assert_close(mapped.seen_from(one).points(), mapped.points(), rtol=1e-5, atol=1e-6)
+    expected = plain.seen_from(other).points()
+    torch.testing.assert_close(mapped.seen_from(other).points(), expected, rtol=1e-5, atol=1e-6)
+    off = replace(plain, pointmap=mapped.points() + 0.05 * torch.randn(1, 2, 6, 8, 3, generator=generator).double())
+    seen = [pixels(geometry) for geometry in (off, off.seen_from(other))]
+    torch.testing.assert_close(seen[0], seen[1], rtol=1e-5, atol=1e-5)
+
+
+def pixels(geometry):
+    homogeneous = torch.nn.functional.pad(geometry.points(), (0, 1), value=1.0)
+    pose, lens = geometry.cameras.camera_from_world, geometry.cameras.intrinsics
+    seen = torch.einsum("bvij,bvhwj->bvhwi", lens @ pose[..., :3, :], homogeneous)
+    return seen[..., :2] / seen[..., 2:]

@@ -104,7 +104,7 @@ class Stylizer(nn.Module):
                 image = read_image(image)[None].to(self.device)
             check_tensor(image, Float[Tensor, "B 3 h w"], "the style image")
             self._check_images(image, "style image")
-            vector, tokens = self.style_encoder.embed_images(image), self.tokens_of(image)
+            vector, tokens = self.vectors_and_tokens(image)
         else:
             given = text if isinstance(text, (list, tuple)) else [text]
             texts = [item for item in given if isinstance(item, str)]
@@ -114,9 +114,10 @@ class Stylizer(nn.Module):
         direction = F.normalize(vector - neutral_embedding(self.style_encoder), dim=-1)
         return StyleEmbedding(vector=vector, direction=direction, tokens=tokens)
 
-    def tokens_of(self, image: Float[Tensor, "B 3 h w"] | None) -> Tokens | None:
-        """The tokens of style images, where the style branch reads them."""
-        return None if image is None or not self.branch.reads_tokens else self.style_encoder.embed_tokens(image)
+    def vectors_and_tokens(self, image: Float[Tensor, "B 3 h w"]) -> tuple[Float[Tensor, "B D"], Tokens | None]:
+        """The embeddings of style images, and their tokens where the style branch reads them."""
+        encoder = self.style_encoder
+        return encoder.embed_both(image) if self.branch.reads_tokens else (encoder.embed_images(image), None)
 
     def restyle(self, scene: Scene, embedding: StyleEmbedding) -> Gaussians:
         """Give an encoded scene a style (paper, equations 5 and 6); several styles of one scene are one batch.

@@ -40,9 +40,10 @@ from torch import Tensor
 from anystyle.cli.run import run
 from anystyle.errors import UserError
 from anystyle.pipeline.weights import load_reference
+from anystyle.testing.oracle import fill_named, hashed, smooth_image
 from anystyle.types import Scene, StyleEmbedding, Views
 from tests.benchmarks import published_stand_ins
-from tests.support.oracle import fill_named, golden, hashed, smooth_image
+from tests.support.oracle import golden
 
 EXPERIMENTS = {"head": "dl3dv_head", "full": "dl3dv_aggregator"}
 NETWORK = "src/model/encoder/anysplat.py"

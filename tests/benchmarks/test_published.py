@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from anystyle.errors import UserError
+from anystyle.testing.oracle import fill_named
 from tests.benchmarks import published, published_stand_ins
-from tests.support.oracle import fill_named
 
 
 def test_a_folder_that_is_no_checkout(tmp_path, monkeypatch):

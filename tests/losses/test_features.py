@@ -12,13 +12,14 @@ from anystyle.contracts import Loss
 from anystyle.losses.content import Content
 from anystyle.losses.features import features_to_compare, objective
 from anystyle.losses.style import StyleLoss
+from anystyle.testing.oracle import assert_matches, smooth_image
 from anystyle.vision import networks
 from anystyle_methods.gram import Gram
 from anystyle_methods.nnfm import NNFM
 from anystyle_methods.simultaneous_scales import SimultaneousScales
 from anystyle_methods.sliced_wasserstein import SlicedWasserstein
 from anystyle_methods.total_variation import TotalVariation
-from tests.support.oracle import assert_matches, golden, smooth_image
+from tests.support.oracle import golden
 from tests.support.style_cases import filled_vgg_file, stylization
 
 RENDERED = smooth_image(4501, [2, 2, 3, 84, 112])

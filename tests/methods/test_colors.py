@@ -8,8 +8,8 @@ import torch
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.io.cache import LRUCache
 from anystyle.methods.colors import NEIGHBORS, covering_views, fit_colors
+from anystyle.testing.oracle import hashed
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.oracle import hashed
 from tests.support.scenes import cameras, gaussians
 
 RENDERER = CpuRenderer(background=(0.2, 0.5, 0.8))

@@ -9,10 +9,10 @@ from scipy.special import rel_entr, softmax
 from torchmetrics.functional.image import lpips as their_lpips
 
 from anystyle.metrics.cfsd import MAX_EXPONENT, structural_distance
+from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.vision import lpips, vgg, weights
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
 from tests.support.judging_cases import filled_folder
-from tests.support.oracle import hashed, smooth_image
 
 
 @pytest.mark.parametrize("backbone", ["alex", "vgg"])

@@ -8,9 +8,9 @@ import torch
 from anystyle.contracts import Backbone
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
+from anystyle.testing.oracle import hashed
 from anystyle.types import Scene
 from tests.support.backbone_cases import network, same, views
-from tests.support.oracle import hashed
 
 
 @pytest.fixture(scope="module", params=["anysplat", "depth_anything", "worldmirror"])

@@ -9,9 +9,9 @@ from torch import nn
 
 from anystyle.nn.attention import Attention
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD, grid_of, normalised
+from anystyle.testing.oracle import hashed
 from anystyle.types import Cameras
 from anystyle_backbones import dpt, heads
-from tests.support.oracle import hashed
 
 
 def test_attention_is_torch_s_own() -> None:

@@ -186,5 +186,6 @@ def test_results_are_restyled_at_the_size_they_were_made_at(tmp_path):
     alone = tmp_path / "elsewhere" / "deeper" / "scene.ply"
     alone.parent.mkdir(parents=True)
     alone.write_bytes((folder / "scene.ply").read_bytes())
+    (alone.parent / "report.json").write_text('{"size": "of something else"}')
     assert encode_saved(alone, stylizer, ViewOptions(), given, Stages()).views.size == (378, 378)
     assert encode_saved(alone, stylizer, ViewOptions(short_side=28), given, Stages()).views.size == (28, 28)

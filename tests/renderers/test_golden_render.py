@@ -11,9 +11,10 @@ from torch import Tensor
 
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.renderers.torch import TorchRenderer
+from anystyle.testing.oracle import assert_matches, hashed
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.oracle import assert_matches, golden, hashed
+from tests.support.oracle import golden
 
 GOLDEN = golden("golden_render")
 CASES = [name for name in GOLDEN if name.startswith("N")]

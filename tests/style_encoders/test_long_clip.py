@@ -11,9 +11,10 @@ from torch import Tensor
 
 from anystyle.contracts import neutral_embedding
 from anystyle.style_encoders.long_clip import LongClip, TextAdapter, small_templates
+from anystyle.testing.oracle import assert_matches, hashed, smooth_image
 from anystyle.vision import bpe, weights
 from anystyle.vision.clip import STRETCHED, Clip, load_clip
-from tests.support.oracle import assert_matches, fill_sorted, golden, hashed, smooth_image
+from tests.support.oracle import fill_sorted, golden
 
 GOLDEN = golden("anystyle_golden")
 RECORD = GOLDEN["longclip_b32"]

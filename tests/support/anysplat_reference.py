@@ -10,8 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone
+from anystyle.testing.oracle import assert_matches, hashed
 from anystyle.types import Attributes, Gaussians, Scene
-from tests.support.oracle import assert_matches, fill_sorted, hashed
+from tests.support.oracle import fill_sorted
 
 
 def fill(module: nn.Module, names: Callable[[Sequence[str]], Mapping[str, str]], *, published: str) -> int:

@@ -7,8 +7,8 @@ import torch
 
 from anystyle.contracts import Backbone
 from anystyle.registry.catalog import catalog
+from anystyle.testing.oracle import smooth_image
 from anystyle.types import Views
-from tests.support.oracle import smooth_image
 
 
 def network(name: str, **options: Any) -> Backbone:

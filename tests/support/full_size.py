@@ -26,8 +26,9 @@ from torch import Tensor
 
 from anystyle.pipeline.load import build_and_load
 from anystyle.registry.compose import compose
+from anystyle.testing.oracle import fill_named
 from anystyle.vision.clip import Clip
-from tests.support.oracle import fill_named, golden
+from tests.support.oracle import golden
 
 KINDS = ("anysplat", "anystyle_head", "anystyle_full", "vggt", "longclip_b32")
 NAMES = {torch.float32: "F32", torch.bfloat16: "BF16"}

@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from anystyle.testing.oracle import fill_named, smooth_image
 from anystyle.vision import art_score, inception, networks, weights
 from anystyle_metrics.optical_flow import network
-from tests.support.oracle import fill_named, golden, smooth_image
+from tests.support.oracle import golden
 
 CONV_RULES = [["\\.weight$", {"scale": 1.4142135623730951}]]
 ALIASES = tuple(

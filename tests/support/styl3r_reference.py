@@ -9,8 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from anystyle.testing.oracle import fill_named, hashed, smooth_image
 from anystyle.types import Cameras, Tokens
-from tests.support.oracle import fill_named, golden, hashed, smooth_image
+from tests.support.oracle import golden
 
 NAME = "golden_styl3r"
 DIMS = {"dim": 64, "depth": 3, "heads": 4}

@@ -9,6 +9,7 @@ from tempfile import mkdtemp
 import torch
 from torch import Tensor
 
+from anystyle.testing.oracle import fill_named
 from anystyle.types import (
     Attributes,
     Cameras,
@@ -24,7 +25,6 @@ from anystyle.types import (
 )
 from anystyle.vision import weights
 from anystyle.vision.vgg import VGG19
-from tests.support.oracle import fill_named
 
 # The goldens fill VGG by name with the gain of a rectifier.
 VGG_RULES = [[r"\.weight$", {"scale": 2**0.5}]]

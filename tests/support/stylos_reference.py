@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tests.support.oracle import fill_named, golden, smooth_image
+from anystyle.testing.oracle import fill_named, smooth_image
+from tests.support.oracle import golden
 
 FILE = os.environ.get("ANYSTYLE_STYLOS_GOLDEN", "golden_stylos")
 """The golden's name; a test of kept-back seeds sets another."""

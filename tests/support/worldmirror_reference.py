@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.harmonics import CONSTANT
+from anystyle.testing.oracle import assert_matches, fill_named, smooth_image
 from anystyle.types import Attributes, Cameras, Views
-from tests.support.oracle import assert_matches, fill_named, golden, smooth_image
+from tests.support.oracle import golden
 
 TINY: dict[str, Any] = {
     "native_resolution": 70,

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from anystyle.contracts import SceneSource
+from anystyle.testing.oracle import hashed
 from anystyle.training.data import StepLoader
 from anystyle.training.scene_cache import CachedScenes
 from anystyle.types import Cameras, Views
-from tests.support.oracle import hashed
 
 
 class Counted(SceneSource):

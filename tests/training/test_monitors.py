@@ -8,12 +8,12 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from PIL import Image
 
 from anystyle.contracts import StyleSource
+from anystyle.testing.oracle import hashed
 from anystyle.training.data import ATTEMPTS, SceneBatches
 from anystyle.training.run import make_data, make_training, train
 from anystyle.training.safeguards import FiniteLoss
 from anystyle.training.trainer import check_options, make_loggers, make_trainer
 from anystyle.types import Style
-from tests.support.oracle import hashed
 from tests.support.training_cases import STYLIZATION, configuration
 
 TRACKED = (*STYLIZATION, "loggers=[tensorboard]", "training.preview_every=2", 'training.preview_texts=["red dots"]')

@@ -13,10 +13,10 @@ from anystyle.contracts import neutral_embedding
 from anystyle.losses.content import Content
 from anystyle.losses.style import StyleLoss
 from anystyle.registry.compose import compose
+from anystyle.testing.oracle import hashed
 from anystyle.training.collate import blurred_views
 from anystyle.training.run import objective
 from anystyle.types import Style, Views
-from tests.support.oracle import hashed
 from tests.support.training_cases import BACKBONE, parts
 
 # Option: what the paper states (section 7 of its facts, equations 4 to 11), what the released code has.

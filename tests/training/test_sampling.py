@@ -10,12 +10,13 @@ from PIL import Image
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.data.images import read_image, to_tensor
 from anystyle.examples import resolved
+from anystyle.testing.oracle import hashed
 from anystyle.training.collate import fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.data import SceneBatches
 from anystyle.training.sampling import bounded_views, gap_bounds, generator
 from anystyle.types import Cameras, Style, Views
 from anystyle_tiny.training.supervision import project
-from tests.support.oracle import golden, hashed
+from tests.support.oracle import golden
 
 SAMPLER = golden("anystyle_golden")["sampler"]
 COUNTS = range(2, 19)

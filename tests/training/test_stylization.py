@@ -3,11 +3,11 @@
 import pytest
 import torch
 
+from anystyle.testing.oracle import hashed
 from anystyle.training.collate import stack_styles
 from anystyle.training.scene_cache import EncodedScenes, stack_scenes
 from anystyle.training.stylization import branch_groups, style_vectors
 from anystyle.types import Scene, Style
-from tests.support.oracle import hashed
 from tests.support.training_cases import parts
 
 

@@ -4,8 +4,8 @@ import weakref
 
 import torch
 
+from anystyle.testing.oracle import hashed
 from anystyle.vision.eager_backward import eager_backward
-from tests.support.oracle import hashed
 
 IMAGES = hashed(1, (3, 3, 8, 10))
 

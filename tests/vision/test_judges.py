@@ -2,8 +2,9 @@
 
 import torch
 
+from anystyle.testing.oracle import assert_matches, fill_named, hashed
 from anystyle.vision import inception, networks
-from tests.support.oracle import assert_matches, fill_named, fill_sorted, golden, hashed
+from tests.support.oracle import fill_sorted, golden
 
 
 def with_classifiers(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -10,9 +10,10 @@ from safetensors.torch import save_file
 from torch import nn
 
 from anystyle.io.checkpoint import read_header
+from anystyle.testing.oracle import assert_matches, fill_named, smooth_image
 from anystyle.vision import networks, weights
 from anystyle.vision.vgg import VGG19, Texture
-from tests.support.oracle import assert_matches, fill_named, golden, smooth_image
+from tests.support.oracle import golden
 from tests.support.style_cases import VGG_RULES, filled_vgg_file
 
 PAPER_LAYERS = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")

@@ -14,9 +14,9 @@ from anystyle.pipeline.weights import load_reference, reference_config
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
 from anystyle.stylizer import Stylizer
+from anystyle.testing.oracle import smooth_image
 from anystyle.types import StyleEmbedding, Views
 from tests.support import full_size
-from tests.support.oracle import smooth_image
 from tests.support.weights_cases import STYLE_DIM, small_checkpoint, training_checkpoint
 
 # Parameters of the files, which the published code's own modules have.

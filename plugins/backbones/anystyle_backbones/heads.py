@@ -139,7 +139,7 @@ class GeometryHead(contracts.GeometryHead):
             return decoded_maps(dpt, levels, size, chunk=self.chunk).float()
 
 
-def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int) -> None:
+def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int, camera_heads: int = 1) -> None:
     """Refuse options of a backbone that contradict each other; heads read layers ``first`` to ``depth - 1``."""
     if dim % (4 * heads):
         raise UserError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
@@ -148,6 +148,8 @@ def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, dept
             f"taps are {list(taps)}; give four layers from {first} on in rising order, of which the last is "
             f"depth - 1 = {depth - 1}"
         )
+    if 2 * dim % camera_heads:
+        raise UserError(f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels")
 
 
 def positions(stored: Float[Tensor, "1 L C"], grid: tuple[int, int], **resampling: Any) -> Float[Tensor, "1 M C"]:

@@ -5,8 +5,8 @@ import torch
 import torch.nn.functional as F
 from scipy.spatial.distance import cdist
 
+from anystyle.testing.oracle import hashed
 from anystyle_backbones.reference_view import in_order, reference_first, reference_view
-from tests.support.oracle import hashed
 
 IMAGES = hashed(2, (2, 5, 3, 16, 24))
 TOKENS = hashed(9, (2, 5, 16), -1, 1)

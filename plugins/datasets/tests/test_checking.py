@@ -12,11 +12,11 @@ from anystyle.data.scene_folder import FolderScenes
 from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
+from anystyle.testing.oracle import hashed
 from anystyle_datasets.checking import check, fingerprint, guess, same_pictures
 from anystyle_datasets.command import Data
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
-from tests.support.oracle import hashed
 from tests.support.real_data import real
 
 

@@ -15,11 +15,11 @@ from PIL import Image
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.io.video import write_video
+from anystyle.testing.oracle import hashed
 from anystyle_datasets import preparing
 from anystyle_datasets.command import Data
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
-from tests.support.oracle import hashed
 
 HASHES = [f"{number:x}" * 64 for number in range(1, 4)]
 

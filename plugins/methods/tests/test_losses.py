@@ -8,12 +8,12 @@ import torch.nn.functional as F
 
 from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.testing.inputs import stylization
+from anystyle.testing.oracle import smooth_image
 from anystyle.vision import networks, weights
 from anystyle_methods.attribute_change import AttributeChange
 from anystyle_methods.nnfm import NNFM
 from anystyle_methods.scene_loop import color_map
 from anystyle_methods.simultaneous_scales import SimultaneousScales
-from tests.support.oracle import smooth_image
 from tests.support.style_cases import filled_vgg_file
 from tests.support.style_cases import stylization as images_stylization
 

@@ -8,9 +8,9 @@ from torch import Tensor
 from anystyle.contracts import Loss
 from anystyle.errors import UserError
 from anystyle.registry.build import build
+from anystyle.testing.oracle import smooth_image
 from anystyle_methods.nnfm import NNFM
 from anystyle_methods.optimal_transport import OptimalTransport, transport_plan
-from tests.support.oracle import smooth_image
 from tests.support.style_cases import stylization
 
 RENDERED, PHOTOGRAPHS = smooth_image(21, [1, 2, 3, 40, 48]), smooth_image(22, [1, 2, 3, 40, 48])

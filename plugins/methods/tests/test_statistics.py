@@ -5,9 +5,9 @@ import pytest
 import torch
 from scipy.stats import wasserstein_distance
 
+from anystyle.testing.oracle import hashed
 from anystyle_methods.gram import gram
 from anystyle_methods.sliced_wasserstein import sliced_quantiles, unit_directions
-from tests.support.oracle import hashed
 
 
 def test_gram_is_the_mean_of_outer_products() -> None:

@@ -14,6 +14,7 @@ from anystyle.correspondences.rendered_depth import RenderedDepth
 from anystyle.data.images import read_square
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
+from anystyle.testing.oracle import smooth_image
 from anystyle.types import Cameras, Comparison, Frames, Style
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from anystyle_metrics import dino
@@ -24,7 +25,6 @@ from anystyle_metrics.met3r import Met3rDepth
 from anystyle_metrics.sharpness import Sharpness
 from anystyle_metrics.structure_distance import StructureDistance
 from tests.support.known_scene import photographed_wall, wall
-from tests.support.oracle import smooth_image
 from tests.support.real_data import real
 
 

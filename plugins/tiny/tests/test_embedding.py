@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 
 from anystyle.errors import UserError
+from anystyle.testing.oracle import hashed
 from anystyle.testing.toy.styles import ToyStyles
 from anystyle.training.data import StepData
 from anystyle_tiny.procedural.scenes import ProceduralScenes
@@ -16,7 +17,6 @@ from anystyle_tiny.style_encoder import Tiny
 from anystyle_tiny.training.embedding import EmbeddingTraining
 from anystyle_tiny.training.perceptual import TAPS, NormedTexture, PerceptualTraining, palette_loss
 from anystyle_tiny.training.styles import UNKNOWN, StyleBatches, TraitHeads
-from tests.support.oracle import hashed
 
 SIZE = 64
 

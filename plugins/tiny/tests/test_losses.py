@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
+from anystyle.testing.oracle import smooth_image
 from anystyle_tiny.losses import Checkerboard, Luminance
-from tests.support.oracle import smooth_image
 from tests.support.style_cases import stylization
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from anystyle.testing.oracle import smooth_image
 from anystyle_tiny.style_encoder import COLORS, KNOTS, Tiny, colors, ramp
-from tests.support.oracle import smooth_image
 
 TEXTS = ("red dots", "thick swirling strokes in deep blue and gold, very large", "a photo", "a")
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from anystyle.testing.oracle import hashed
 from anystyle.types import Cameras, Geometry, Views
 from anystyle_tiny.training.matches import patch_matches
 from anystyle_tiny.training.reconstruction import geometry_errors, psnr
@@ -18,7 +19,6 @@ from anystyle_tiny.training.supervision import (
     project,
     transfer_loss,
 )
-from tests.support.oracle import hashed
 
 SIZE = 24
 

@@ -47,6 +47,10 @@ class StyleEncoder(Pluggable, nn.Module, ABC):
         """The tokens of sRGB images in [0, 1] of any size, each as one view; ``None`` if it gives vectors alone."""
         return None
 
+    def embed_both(self, images: Float[Tensor, "M 3 H W"]) -> tuple[Float[Tensor, "M D"], Tokens | None]:
+        """Embeddings and tokens of images; override it where one pass gives both."""
+        return self.embed_images(images), self.embed_tokens(images)
+
     def load_published(self, state: Mapping[str, Tensor]) -> None:
         """Load weights under their publishers' names, strictly; on the meta device it takes the tensors themselves.
 

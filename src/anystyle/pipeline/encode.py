@@ -285,7 +285,7 @@ def with_cameras(groups: Sequence[Group], cameras: Cameras, adapter: Adapter) ->
         group_from_known = scene_from_known(known.world_from_camera[0], group.scene.cameras.world_from_camera[0])
         similarities.append(group_from_known)
         known = replace(known, world_from_camera=group_from_known.poses(known.world_from_camera))
-        geometry = replace(group.scene.geometry, cameras=known)
+        geometry = group.scene.geometry.seen_from(known)
         clusters = adapter.cluster(geometry, group.scene.attributes)
         capture_from_group = similarities[0].after(group_from_known.inverse()) if placed else None
         scene = replace(group.scene, geometry=geometry, clusters=clusters)

@@ -5,7 +5,7 @@ its own.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 from anystyle.contracts import Injector
@@ -39,6 +39,8 @@ class BranchOptions:
 
     def __post_init__(self) -> None:
         check_fields(self, "branch")
+        if self.published and replace(self, published=False) != BranchOptions():
+            raise UserError("branch.published=true fixes what a branch styles; set no other option of branch with it")
         for one in self.injectors.values():
             choice(Injector, one)
 

@@ -219,11 +219,13 @@ def _report(folder: Path) -> SavedReport:
 
 def made_at(path: Path) -> int | None:
     """The shorter side in pixels of the views of results in a folder, or beside a file; ``None`` if it is unknown."""
-    folder = path if path.is_dir() else path.parent
-    for file in (folder / "report.json", *folder.glob("*/report.json")):
-        if file.is_file() and (size := _report(file.parent).size):
-            return min(size)
-    return None
+    if path.is_dir():
+        reports = [path / "report.json", *sorted(path.glob("*/report.json"))]
+    else:  # a report beside a stranger's file may be of anything
+        ours = any((path.parent / name).is_file() for name in ("scene.safetensors", "unstyled.safetensors"))
+        reports = [path.parent / "report.json"] if ours else []
+    sizes = (_report(file.parent).size for file in reports if file.is_file())
+    return next((min(size) for size in sizes if size), None)
 
 
 def read_gaussians(path: Path) -> Gaussians:

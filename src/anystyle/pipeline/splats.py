@@ -103,7 +103,7 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
 
     Middle and radius are medians weighted by opacity, so that a few floaters far away move neither.
     """
-    # A scene of which nothing is seen has a middle, too.
+    # So that weights do not add up to 0 where every Gaussian is transparent.
     means, weights = gaussians.means[0], gaussians.opacities[0].double().clamp_min(1e-12).cpu().numpy()
 
     def quantile(values: Tensor, fraction: float) -> Tensor:

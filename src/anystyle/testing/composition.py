@@ -125,9 +125,8 @@ def test_the_backbone_does_not_learn(composition: Composition) -> None:
 @torch.no_grad()
 def test_what_is_not_styled_stays(composition: Composition) -> None:
     """After training, two styles give two scenes; with colour styled alone, the rest stays the same bits."""
-    one, other = (
-        composition.trained.restyle(composition.scene, composition.embed(composition.trained, t)) for t in TEXTS
-    )
+    trained = composition.trained
+    one, other = (trained.restyle(composition.scene, composition.embed(trained, text)) for text in TEXTS)
     differ = any(not torch.equal(tensor, getattr(other, name)) for name, tensor in vars(one).items())
     assert differ, "the same Gaussians for two styles"
     stylizer = composition.stylizer()

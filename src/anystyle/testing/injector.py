@@ -22,10 +22,8 @@ def test_changes_nothing_at_initialisation(plugin: Subject[Injector]) -> None:
         injector = plugin.build(seed, dim=dim, style_dim=STYLE_DIM, site=Site("head/tokens", dim))
         for special, (rows, columns), number in ((0, (3, 5), 2), (5, (4, 4), 1)):
             tokens = _tokens(2, number, (rows, columns), special, dim)
-            result, what = (
-                injector(tokens, _style(plugin, 2)),
-                f"tokens after an untrained injector ({special} special tokens)",
-            )
+            what = f"tokens after an untrained injector ({special} special tokens)"
+            result = injector(tokens, _style(plugin, 2))
             check_value(result, Tokens, what, B=2, V=number, P=tokens.data.shape[2], C=dim)
             asserts.same(result.data, tokens.data, what)
             kept = (result.grid, result.special, result.data.dtype) == (tokens.grid, special, tokens.data.dtype)

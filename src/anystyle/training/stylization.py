@@ -107,6 +107,10 @@ class StylizationTraining(Training):
         self.rates = {"aggregator_rate": aggregator_rate, "injector_rate": injector_rate}
         if not losses:
             raise UserError("there is nothing to learn from; add loss=[content,style,clip_directional]")
+        if stylizer.branch.reads_tokens and text_ratio > 0:
+            raise UserError(
+                "this style branch reads the tokens of images, and texts have none; set training.text_ratio=0"
+            )
         self.stylizer = stylizer
         for copied in (stylizer.branch.aggregator, stylizer.branch.gaussian_head):
             if copied is not None and not learn_copies:
@@ -178,9 +182,13 @@ class StylizationTraining(Training):
 
     def embed(self, style: Style, step: int) -> StyleEmbedding:
         """The styles of a step, as texts or as images; a row that lacks the one is embedded as the other."""
-        vector = style_vectors(self.stylizer, style, as_text=self.is_text_step(step))
+        if self.stylizer.branch.reads_tokens:
+            assert style.image is not None
+            with torch.no_grad():
+                vector, tokens = self.stylizer.vectors_and_tokens(style.image)
+        else:
+            vector, tokens = style_vectors(self.stylizer, style, as_text=self.is_text_step(step)), None
         neutral = neutral_embedding(self.stylizer.style_encoder)
-        tokens = self.stylizer.tokens_of(style.image)
         return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1), tokens=tokens)
 
     def is_text_step(self, step: int) -> bool:

@@ -179,6 +179,21 @@ class Geometry(Value):
         ]
         return torch.stack(world, dim=-1)
 
+    def seen_from(self, cameras: Cameras) -> "Geometry":
+        """The same depth in other cameras of the images: each point stays at its pixel, and moves with its view."""
+        if self.pointmap is None:
+            return replace(self, cameras=cameras)
+        with torch.autocast(self.pointmap.device.type, enabled=False):  # positions need all their bits
+            local = _moved(self.cameras.camera_from_world, self.pointmap)
+            lens = torch.linalg.solve(cameras.intrinsics, self.cameras.intrinsics)[:, :, None, None]
+            local = (lens @ local[..., None])[..., 0]
+            return replace(self, cameras=cameras, pointmap=_moved(cameras.world_from_camera, local))
+
+
+def _moved(motion: Float[Tensor, "B V 4 4"], points: Float[Tensor, "B V H W 3"]) -> Float[Tensor, "B V H W 3"]:
+    rotation, translation = motion[:, :, None, None, :3, :3], motion[:, :, None, None, :3, 3]
+    return (rotation @ points[..., None])[..., 0] + translation
+
 
 @dataclass(frozen=True)
 class Attributes(Value):

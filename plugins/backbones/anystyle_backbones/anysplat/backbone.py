@@ -10,7 +10,6 @@ import torch
 from torch import nn
 
 from anystyle import contracts
-from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn.attention import Block
 from anystyle.published import Published
@@ -124,11 +123,7 @@ class AnySplat(contracts.Backbone):
         init: Literal["published", "scratch"] = "published",
     ) -> None:
         super().__init__()
-        check_options(dim=dim, heads=heads, taps=taps, first=0, depth=depth)
-        if 2 * dim % camera_heads:
-            raise UserError(
-                f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels"
-            )
+        check_options(dim=dim, heads=heads, taps=taps, first=0, depth=depth, camera_heads=camera_heads)
         self.patch_size, self.resolution = patch_size, resolution
         block = partial(Block, mlp_ratio=mlp_ratio)
         embedding = (block(dim, heads, layer_scale=1.0, eps=1e-6) for _ in range(embed_depth))

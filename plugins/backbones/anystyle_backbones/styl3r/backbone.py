@@ -13,7 +13,7 @@ from anystyle_backbones.anysplat.adapter import Adapter
 from anystyle_backbones.dpt import Dpt, DptTrunkOptions
 from anystyle_backbones.styl3r.heads import ColorHead, GaussianHead, GeometryHead, PixelDecoder, Styl3rBranch
 from anystyle_backbones.styl3r.keys import Styl3rCheckpoints
-from anystyle_backbones.styl3r.transformer import Aggregator, Embedder, PictureEncoder, TokenStylizer
+from anystyle_backbones.styl3r.transformer import Aggregator, Embedder, ImageEncoder, TokenStylizer
 
 
 class Styl3r(contracts.Backbone):
@@ -93,7 +93,7 @@ class Styl3r(contracts.Backbone):
                 raise UserError(f"{name} is {count}, of {width} channels; those of a head must be a multiple of 4")
         self.patch_size, self.resolution = patch_size, resolution
         common = {"mlp_ratio": mlp_ratio, "rope_base": rope_base}
-        encoder = partial(PictureEncoder, dim, patch_size=patch_size, depth=depth, heads=heads, **common)
+        encoder = partial(ImageEncoder, dim, patch_size=patch_size, depth=depth, heads=heads, **common)
         decoder = {"depth": decoder_depth, "heads": decoder_heads, **common}
         levels: DptTrunkOptions = {
             "dim": (dim, *(decoder_dim,) * 3),

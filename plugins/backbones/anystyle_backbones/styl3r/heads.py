@@ -14,7 +14,7 @@ from anystyle.contracts import StylePredictor, style_tokens
 from anystyle.types import Attributes, Features, Geometry, Inject, Scene, Site, StyleEmbedding, untouched
 from anystyle_backbones.dpt import Dpt, DptTrunk, DptTrunkOptions, by_views, resized
 from anystyle_backbones.pointmaps import cameras_of, points_of
-from anystyle_backbones.styl3r.transformer import PictureEncoder, TokenStylizer, symmetric
+from anystyle_backbones.styl3r.transformer import ImageEncoder, TokenStylizer, symmetric
 
 Decoding = TypeVar("Decoding", bound=DptTrunk)
 
@@ -99,7 +99,7 @@ class PixelDecoder(DptTrunk):
     def predict(
         self, levels: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], images: Float[Tensor, "M 3 H W"]
     ) -> Float[Tensor, "M H W F"]:
-        """The result from patch tokens of the taps, for pictures in [-1, 1]."""
+        """The result from patch tokens of the taps, for images in [-1, 1]."""
         size = images.shape[-2], images.shape[-1]
         x = resized(self.fusions(self.levels(levels, grid, size[1] / size[0])), size)
         if self.direct is not None:
@@ -152,7 +152,7 @@ class GaussianHead(contracts.GaussianHead):
         first: PixelDecoder,
         others: PixelDecoder,
         *,
-        style_encoder: PictureEncoder,
+        style_encoder: ImageEncoder,
         stylizer: TokenStylizer,
         color: ColorHead,
         chunk: int,
@@ -174,7 +174,7 @@ class GaussianHead(contracts.GaussianHead):
         return Attributes(opacity=raw[..., 0], scale=raw[..., 1:4], rotation=raw[..., 4:], color=color)
 
     def raw(self, features: Features, pictures: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V H W 8"]:
-        """Opacity, scale and rotation ahead of their activations, from pictures in [-1, 1]."""
+        """Opacity, scale and rotation ahead of their activations, from images in [-1, 1]."""
 
         def decode(dpt: PixelDecoder, chosen: slice) -> Float[Tensor, "B v H W 8"]:
             levels = levels_of(features, chosen, dpt.dtype)

@@ -1,4 +1,4 @@
-"""The transformers: an encoder of single pictures, a decoder whose views meet by cross-attention, and the stylizer."""
+"""The transformers: an encoder of single images, a decoder whose views meet by cross-attention, and the stylizer."""
 
 import logging
 import math
@@ -32,8 +32,8 @@ def symmetric(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 
     return (images - 0.5) / 0.5
 
 
-class PictureEncoder(nn.Module):
-    """A vision transformer on single pictures, without a class token.
+class ImageEncoder(nn.Module):
+    """A vision transformer on single images, without a class token.
 
     Args:
         dim: Channels.
@@ -57,7 +57,7 @@ class PictureEncoder(nn.Module):
         start_as_dino(self.blocks)
 
     def forward(self, images: Float[Tensor, "B V 3 H W"], special: Float[Tensor, "B V s C"] | None = None) -> Tokens:
-        """Tokens of pictures as they are (nothing is normalised), behind ``special`` ones."""
+        """Tokens of images as they are (nothing is normalised), behind ``special`` ones."""
         grid = grid_of(images, self.patch_size)
         data = self.patches(images.flatten(0, 1).to(self.patches.weight.dtype)).flatten(2).mT
         data = data.unflatten(0, images.shape[:2])
@@ -77,7 +77,7 @@ class Embedder(contracts.Embedder):
 
     reads_cameras = True
 
-    def __init__(self, encoder: PictureEncoder, *, field_of_view: float) -> None:
+    def __init__(self, encoder: ImageEncoder, *, field_of_view: float) -> None:
         super().__init__()
         self.encoder, self.field_of_view = encoder, field_of_view
         self.intrinsics = nn.Linear(9, encoder.patches.out_channels)

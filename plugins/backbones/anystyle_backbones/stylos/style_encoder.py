@@ -68,7 +68,11 @@ class StylosStyle(StyleEncoder):
         return self._tokens(images)
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        return self.embed_tokens(images).data.mean((1, 2))
+        return self.embed_both(images)[0]
+
+    def embed_both(self, images: Float[Tensor, "M 3 H W"]) -> tuple[Float[Tensor, "M D"], Tokens]:
+        tokens = self.embed_tokens(images)
+        return tokens.data.mean((1, 2)), tokens
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         unread = [text for text in texts if text != self.neutral]

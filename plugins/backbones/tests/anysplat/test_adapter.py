@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.transforms import matrix_from_wxyz
+from anystyle.testing.oracle import assert_matches, hashed
 from anystyle.types import Attributes, Cameras, Geometry
 from anystyle_backbones.anysplat.adapter import Adapter
-from tests.support.oracle import assert_matches, golden, hashed
+from tests.support.oracle import golden
 
 GOLDEN = golden("anystyle_golden")
 

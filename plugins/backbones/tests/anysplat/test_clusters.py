@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from anystyle.testing.oracle import hashed
 from anystyle_backbones.anysplat.adapter import fuse, lexicographic_ranks, voxel_clusters
-from tests.support.oracle import hashed
 
 
 def points(index: int, scenes: int, count: int, half: float = 1.0) -> Tensor:

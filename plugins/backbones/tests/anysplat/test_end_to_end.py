@@ -14,10 +14,11 @@ from anystyle.branch import StyleBranch
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.placements.full import Full
 from anystyle.placements.head import Head
+from anystyle.testing.oracle import fill_named, smooth_image
 from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens, Views
 from anystyle_backbones.anysplat import AnySplat, keys
 from tests.support import anysplat_reference as reference
-from tests.support.oracle import fill_named, golden, smooth_image
+from tests.support.oracle import golden
 
 CHECKPOINTS = keys.AnySplatCheckpoints()
 PLACEMENTS = {"head": Head(), "agg": Full()}

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from anystyle.pipeline.weights import load_reference
 from anystyle.stylizer import Stylizer
+from anystyle.testing.oracle import fill_named, smooth_image
 from anystyle.types import Gaussians, Scene, StyleEmbedding, Views
 from tests.support import anysplat_reference as reference
-from tests.support.oracle import fill_named, golden, smooth_image
+from tests.support.oracle import golden
 
 FILE = golden("golden_e2e_tiny")
 CASE = FILE["tiny"]["tiny_v3_56x84"]

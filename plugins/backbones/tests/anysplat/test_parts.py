@@ -6,13 +6,14 @@ import torch
 
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.nn.attention import Block
+from anystyle.testing.oracle import assert_matches, hashed
 from anystyle.types import Inject, Tokens
 from anystyle_backbones import dpt
 from anystyle_backbones.anysplat import keys
 from anystyle_backbones.anysplat.heads import GaussianHead
 from anystyle_backbones.anysplat.transformer import Aggregator, Embedder, Patches
 from tests.support import anysplat_reference as reference
-from tests.support.oracle import assert_matches, golden, hashed
+from tests.support.oracle import golden
 
 GOLDEN = golden("anystyle_golden")
 

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 import torch
 
+from anystyle.testing.oracle import hashed
 from anystyle.types import Tokens, Views
 from anystyle_backbones.depth_anything import DepthAnything
 from tests.support.backbone_cases import network, same, views
-from tests.support.oracle import hashed
 
 EXAMPLE = DepthAnything.example(Path())
 

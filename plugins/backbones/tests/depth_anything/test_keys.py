@@ -12,10 +12,10 @@ from anystyle.contracts import Backbone
 from anystyle.pipeline.weights import load_reference
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
+from anystyle.testing.oracle import smooth_image
 from anystyle.types import Views
 from anystyle_backbones.depth_anything import DepthAnything, keys
 from tests.support import depth_anything_reference as reference
-from tests.support.oracle import smooth_image
 
 # Keys and parameters of the published modules: trunk, depth decoder, camera decoder, and the one Gaussian head.
 PUBLISHED = {

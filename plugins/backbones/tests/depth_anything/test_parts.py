@@ -5,10 +5,10 @@ import torch
 import torch.nn.functional as F
 
 from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
+from anystyle.testing.oracle import hashed
 from anystyle.types import Attributes, Cameras, Geometry
 from anystyle_backbones.depth_anything.adapter import Adapter
 from anystyle_backbones.depth_anything.heads import decode_pose
-from tests.support.oracle import hashed
 
 SIZE = (6, 8)
 

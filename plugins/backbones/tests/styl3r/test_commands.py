@@ -51,7 +51,7 @@ def test_a_text_is_refused_in_one_line(photographs: Path, tmp_path: Path, capsys
     with pytest.raises(SystemExit) as caught:
         stylize.main([str(word) for word in words])
     assert caught.value.code == 2
-    assert "this style encoder reads pictures alone" in capsys.readouterr().err.splitlines()[-1]
+    assert "Styl3R reads style images, no texts" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_the_experiment_is_the_published_second_stage() -> None:

@@ -13,10 +13,10 @@ from anystyle.pipeline.load import PARTS, assemble
 from anystyle.pipeline.weights import load_reference
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
+from anystyle.testing.oracle import smooth_image
 from anystyle.types import Views
 from anystyle_backbones.styl3r import Styl3r, keys
 from tests.support import styl3r_reference as reference
-from tests.support.oracle import smooth_image
 
 CHECKPOINTS = keys.Styl3rCheckpoints()
 State = dict[str, Tensor]

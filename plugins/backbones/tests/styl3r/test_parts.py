@@ -14,6 +14,7 @@ from anystyle.losses.content import Content
 from anystyle.losses.style import StyleLoss
 from anystyle.nn.tokens import rotary, rotate
 from anystyle.testing.inputs import stylization
+from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.types import Attributes, Cameras, Geometry, Renders, Stylization, Tokens
 from anystyle.vision import networks, weights
 from anystyle.vision.preprocess import as_pillow, middle_squares
@@ -22,7 +23,6 @@ from anystyle_backbones.styl3r import Styl3r
 from anystyle_backbones.styl3r.losses import Identity
 from anystyle_backbones.styl3r.transformer import angles_of
 from tests.support import styl3r_reference as reference
-from tests.support.oracle import hashed, smooth_image
 from tests.support.style_cases import filled_vgg_file
 from tests.support.style_cases import stylization as stylized
 

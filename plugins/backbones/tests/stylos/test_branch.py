@@ -11,14 +11,15 @@ from anystyle.commands import stylize
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
 from anystyle.nn.tokens import normalised
+from anystyle.pipeline.options import BranchOptions
 from anystyle.stylizer import Stylizer
+from anystyle.testing.oracle import smooth_image
 from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.types import Gaussians, Scene, StyleEmbedding, Tokens
 from anystyle_backbones.stylos import Stylos, StylosStyle
 from anystyle_backbones.stylos.heads import GaussianHead, StylosBranch
 from anystyle_backbones.stylos.transformer import STEM
 from tests.support.backbone_cases import network, same, views
-from tests.support.oracle import smooth_image
 
 
 @pytest.fixture(scope="module")
@@ -124,3 +125,8 @@ def test_photographs_and_a_painting_to_a_scene(tmp_path: Path, caplog: pytest.Lo
     words = [tmp_path / "photos", "--image", tmp_path / "a.png", "--out", tmp_path / "out", "model=stylos"]
     stylize.main([*map(str, words), "weights.backbone=null", *network, *small])
     assert (tmp_path / "out" / "scene.ply").is_file() and "the backbone is untrained" in caplog.text
+
+
+def test_options_that_the_published_branch_fixes_are_refused() -> None:
+    with pytest.raises(UserError, match="set no other option of branch with it"):
+        BranchOptions(published=True, styled=["rotation"])

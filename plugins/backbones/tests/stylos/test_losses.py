@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from anystyle.testing.inputs import stylization
+from anystyle.testing.oracle import fill_named, hashed
 from anystyle.types import Renders, Style, Stylization, Views
 from anystyle.vision.vgg import AdainVGG
 from anystyle_backbones.stylos.losses import AdainVoxels, DiagonalVariation
 from tests.support import anysplat_reference, stylos_reference
-from tests.support.oracle import fill_named, hashed
 
 RECORD = stylos_reference.record()["losses"]
 POOLS = {"image": "image", "scene": "scene", "3d": "voxels"}

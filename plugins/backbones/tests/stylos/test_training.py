@@ -1,9 +1,11 @@
 """The second stage of Stylos' training, on the least that trains."""
 
+import pytest
 import torch
 
 from anystyle.cli.launch import launch
 from anystyle.commands.train import run
+from anystyle.errors import UserError
 from anystyle.registry.compose import compose
 from anystyle_backbones.stylos import Stylos, StylosStyle
 
@@ -29,6 +31,12 @@ def test_two_steps(tmp_path, monkeypatch, capsys):
     launch("train", run, ["experiment=stylos", *SMALL, *network(tmp_path), "name=x"])
     assert "2 steps done; " in capsys.readouterr().out
     assert (tmp_path / "runs" / "x" / "branch.safetensors").is_file()
+
+
+def test_texts_are_refused_before_a_step(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=r"reads the tokens of images, and texts have none; set training\.text_ratio=0"):
+        launch("train", run, ["experiment=stylos", *SMALL, *network(tmp_path), "training.text_ratio=0.5", "name=x"])
 
 
 def test_it_is_as_published_where_it_can_be():

@@ -11,11 +11,11 @@ from anystyle.placements.aggregator import AggregatorPlacement
 from anystyle.placements.color import Color
 from anystyle.placements.full import Full
 from anystyle.placements.head import Head
+from anystyle.testing.oracle import hashed
 from anystyle.types import StyleEmbedding
 from anystyle_backbones.worldmirror import WorldMirror
 from tests.support import worldmirror_reference as reference
 from tests.support.backbone_cases import network, same, views
-from tests.support.oracle import hashed
 
 EXAMPLE = WorldMirror.example(Path())
 PLACEMENTS = {"head": Head(), "aggregator": AggregatorPlacement(), "full": Full(), "color": Color()}

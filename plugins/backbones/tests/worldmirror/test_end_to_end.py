@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from anystyle.testing.oracle import fill_named, hashed
 from anystyle.types import Attributes, Geometry
 from anystyle_backbones.worldmirror import WorldMirror
 from anystyle_backbones.worldmirror.heads import GeometryHead
 from tests.support import worldmirror_reference as reference
-from tests.support.oracle import fill_named, hashed
 from tests.support.worldmirror_reference import check
 
 GOLDEN = reference.record()

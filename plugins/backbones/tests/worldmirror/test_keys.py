@@ -10,10 +10,10 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from anystyle.pipeline.weights import load_reference
+from anystyle.testing.oracle import smooth_image
 from anystyle.types import Views
 from anystyle_backbones.worldmirror import WorldMirror, keys
 from tests.support import worldmirror_reference as reference
-from tests.support.oracle import smooth_image
 
 GOLDEN = reference.record()
 READ = {"nothing": set(), "lenses": {"ray_embed"}, "cameras": {"ray_embed", "pose_embed"}}

@@ -6,10 +6,11 @@ import torch
 import torch.nn.functional as F
 from scipy.ndimage import map_coordinates
 
+from anystyle.testing.oracle import assert_matches, hashed
 from anystyle_metrics.optical_flow import network
 from anystyle_metrics.optical_flow.network import RADIUS, WINDOW, correlation_pyramid, look_up
 from tests.support.judging_cases import ALIASES
-from tests.support.oracle import assert_matches, fill_sorted, golden, hashed
+from tests.support.oracle import fill_sorted, golden
 
 
 def with_aliases(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

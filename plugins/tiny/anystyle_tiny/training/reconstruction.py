@@ -175,7 +175,7 @@ class ReconstructionTraining(Training):
             return losses
 
     def gaussians_at(self, attributes: Attributes, geometry: Geometry, cameras: Cameras) -> Gaussians:
-        geometry, adapter = replace(geometry, cameras=cameras), self.backbone.adapter
+        geometry, adapter = geometry.seen_from(cameras), self.backbone.adapter
         return adapter(attributes, geometry, adapter.cluster(geometry, attributes))
 
     def errors(self, batch: Batch) -> dict[str, Float[Tensor, ""]]:
