@@ -92,8 +92,6 @@ class StylosCheckpoints(Published):
         else:
             return
         given = {name: given[name] for name in given if name.startswith(prefixes) and name not in anysplat.UNUSED}
-        if part == "branch":  # which learns: the backbone may hold the file's own tensors
-            given = {name: tensor.clone() for name, tensor in given.items()}
         load_renamed(module, given, names, what=part.replace("_", " "), layout=LAYOUT)
 
 
