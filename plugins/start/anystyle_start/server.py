@@ -188,8 +188,12 @@ class StartServer(AbstractContextManager["StartServer"]):
         return f"http://{self._server.effective_host}:{self._server.effective_port}/"
 
     def __exit__(self, *_: object) -> None:
-        # In the server's own thread, which ends when nothing is open.
-        self._server.trigger.pull_trigger(lambda: close_all(self._sockets))
+        # Workers wake the server's thread too, at any moment: its sockets and its pipe stay open until it has ended.
+        still_open: dict[int, Any] = {}
+        self._server.trigger.pull_trigger(lambda: (still_open.update(self._sockets), self._sockets.clear()))
         self._thread.join(timeout=10)
+        for channel in self._server.active_channels.copy().values():
+            channel.handle_close()  # wakes a worker that waits for its reader
         self._server.task_dispatcher.shutdown()
+        close_all(still_open)
         self._stack.close()

@@ -98,6 +98,22 @@ def test_a_bad_file_is_refused_in_one_line_and_leaves_nothing(client, started, n
     assert [path.name for path in library.inputs(scene)] == kept and not any(library.uploads(scene).glob("*"))
 
 
+def test_the_server_closes_while_an_answer_ends(tmp_path, monkeypatch):
+    """A worker that ends an answer wakes the server's thread, which may close before the closer's own call returns."""
+    server = StartServer(tmp_path / "kept", 0, pretended(tmp_path))
+    listening, trigger = server._server.socket, server._server.trigger
+    pull = trigger._physical_pull
+
+    def by_a_worker_first() -> None:
+        pull()
+        server._thread.join(timeout=2)
+        pull()
+
+    monkeypatch.setattr(trigger, "_physical_pull", by_a_worker_first)
+    server.__exit__()
+    assert not server._thread.is_alive() and not trigger._fds and listening.fileno() == -1
+
+
 def run(client, scene, text):
     return client.post(f"/scenes/{scene}/run", {"texts": [text]})
 
