@@ -63,8 +63,12 @@ class Stylizer(nn.Module):
             yield
 
     @torch.no_grad()
-    def encode(self, views: Views) -> Scene:
+    def encode(self, views: Views, *, colors: bool = True) -> Scene:
         """Compute everything that does not depend on style; once per scene.
+
+        Args:
+            views: Photographs of a scene, sides multiples of the backbone's patches.
+            colors: Whether anything will read the unstyled colours.
 
         Raises:
             UserError: The images are not in [0, 1], do not fit the backbone's patches, or are not where the model is.
@@ -79,7 +83,7 @@ class Stylizer(nn.Module):
             )
         self._check_images(views.images, "views")
         with self._precision(views.images.device):
-            return self.backbone.encode(views)
+            return self.backbone.encode(views, colors=colors)
 
     @torch.no_grad()
     def embed(
@@ -194,7 +198,7 @@ class Stylizer(nn.Module):
 
     def forward(self, views: Views, embedding: StyleEmbedding) -> Gaussians:
         """The single pass: encode, then restyle."""
-        return self.restyle(self.encode(views), embedding)
+        return self.restyle(self.encode(views, colors=self.branch.reads_colors), embedding)
 
 
 def _expect(value: object, cls: type) -> None:

@@ -74,6 +74,10 @@ class GaussianHead(nn.Module, ABC):
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         """Predict raw attributes from features and sRGB images in [0, 1], calling ``inject`` at every site."""
 
+    def without_colors(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Attributes:
+        """The same attributes, save that colours, which nothing will read, are zero where that saves work."""
+        return self(features, images)
+
 
 class Adapter(nn.Module, ABC):
     """From raw attributes to Gaussians: activations, fusion, conventions."""
@@ -114,15 +118,16 @@ class Backbone(Pluggable, nn.Module, ABC):
         return self.aggregator.sites + self.gaussian_head.sites
 
     @final
-    def encode(self, views: Views) -> Scene:
-        """Compute all that does not depend on style."""
+    def encode(self, views: Views, *, colors: bool = True) -> Scene:
+        """Compute all that does not depend on style; without ``colors`` nothing may read the unstyled ones."""
         # A product of a tensor that is not contiguous is rounded in one way with weights that learn, as a style branch
         # has them, and in another with frozen ones.
         cameras = (views.cameras,) if self.embedder.reads_cameras else ()
         stem = self.embedder(views.images, *cameras).contiguous()
         features = contiguous(self.aggregator(stem))
         geometry = self.geometry_head(features, views.images)
-        attributes = self.gaussian_head(features, views.images)
+        head = self.gaussian_head
+        attributes = head(features, views.images) if colors else head.without_colors(features, views.images)
         clusters = self.adapter.cluster(geometry, attributes)
         return Scene(views, stem, features, geometry, attributes, clusters)
 

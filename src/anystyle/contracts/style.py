@@ -109,6 +109,8 @@ class StylePredictor(nn.Module, ABC):
     """The injectors by their sites."""
     reads_tokens: bool = False
     """Whether it reads the tokens of style images."""
+    reads_colors: bool = True
+    """Whether it reads the unstyled colours; a single pass leaves them out where it does not."""
 
     @property
     def sources(self) -> tuple[Source, ...]:

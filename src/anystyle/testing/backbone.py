@@ -1,6 +1,7 @@
 """What a backbone promises: see :class:`anystyle.contracts.Backbone`."""
 
 import copy
+from dataclasses import replace
 from functools import cache
 
 import torch
@@ -110,6 +111,18 @@ def test_injected_tokens_are_used(plugin: Subject[Backbone]) -> None:
         ours, theirs = asserts.tensors_of(after), asserts.tensors_of(before)
         changed = any(not torch.equal(ours[name], theirs[name]) for name in theirs)
         assert changed, f"other tokens at {site.name} change nothing; use `tokens = inject({site.name!r}, tokens)`"
+
+
+@torch.no_grad()
+def test_colors_may_be_left_out(plugin: Subject[Backbone]) -> None:
+    """Without colours all else of a scene has the same bits."""
+    backbone, whole = plugin.instance.freeze(), _scene(plugin)
+    scene = backbone.encode(_views(plugin), colors=False)
+    assert scene.attributes.color.shape == whole.attributes.color.shape, (
+        "`without_colors` gives colours of another shape"
+    )
+    attributes = replace(scene.attributes, color=whole.attributes.color)
+    asserts.same(replace(scene, attributes=attributes), whole, "a scene without colours")
 
 
 @torch.no_grad()

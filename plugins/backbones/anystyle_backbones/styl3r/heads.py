@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar, Unpack
 
 import torch
@@ -167,21 +168,21 @@ class GaussianHead(contracts.GaussianHead):
         return self.stylizer.sites
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
-        pictures = symmetric(images)
-        style = self.style_encoder(pictures[:, :1])
+        style = self.style_encoder(symmetric(images[:, :1]))
         color = self.color(self.stylizer(features[0], style, inject), images)
-        raw = self.raw(features, pictures)
-        return Attributes(opacity=raw[..., 0], scale=raw[..., 1:4], rotation=raw[..., 4:], color=color)
+        return replace(self.without_colors(features, images), color=color)
 
-    def raw(self, features: Features, pictures: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V H W 8"]:
-        """Opacity, scale and rotation ahead of their activations, from images in [-1, 1]."""
+    def without_colors(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Attributes:
+        pictures = symmetric(images)
 
         def decode(dpt: PixelDecoder, chosen: slice) -> Float[Tensor, "B v H W 8"]:
             levels = levels_of(features, chosen, dpt.dtype)
             raw = dpt.predict(levels, features[0].grid, pictures[:, chosen].flatten(0, 1))
             return raw.unflatten(0, (len(pictures), -1))
 
-        return first_and_others(self.first, self.others, decode, pictures.shape, self.chunk)
+        raw = first_and_others(self.first, self.others, decode, pictures.shape, self.chunk)
+        color = raw.new_zeros(*raw.shape[:-1], 3, (self.color.sh_degree + 1) ** 2)
+        return Attributes(opacity=raw[..., 0], scale=raw[..., 1:4], rotation=raw[..., 4:], color=color)
 
 
 class Styl3rBranch(StylePredictor):
@@ -191,6 +192,7 @@ class Styl3rBranch(StylePredictor):
     """
 
     reads_tokens = True
+    reads_colors = False
 
     def __init__(self, head: GaussianHead) -> None:
         super().__init__()

@@ -55,21 +55,23 @@ class GaussianHead(contracts.GaussianHead):
         return tuple(Site(f"{SITES}/{layer}", dim, tapped=layer in taps) for layer in layers)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
-        size, stem = (images.shape[-2], images.shape[-1]), features[STEM]
+        stem, size = features[STEM], (images.shape[-2], images.shape[-1])
+        first = replace(stem, data=stem.patches[:, :1], special=0)
+        color = decoded_maps(self.style_head, self.style_aggregator(stem, first, inject), size, chunk=self.chunk)
+        return replace(self.without_colors(features, images), color=color[..., :3, None])
 
+    def without_colors(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Attributes:
         def direct(chosen: slice) -> Float[Tensor, "M E H W"]:
             assert self.direct is not None
             return F.relu_(self.direct(normalised(images[:, chosen].flatten(0, 1).to(self.dpt.dtype))))
 
-        levels = [features[layer] for layer in self.taps]
+        levels, size = [features[layer] for layer in self.taps], (images.shape[-2], images.shape[-1])
         raw = decoded_maps(self.dpt, levels, size, chunk=self.chunk, direct=None if self.direct is None else direct)
-        first = replace(stem, data=stem.patches[:, :1], special=0)
-        color = decoded_maps(self.style_head, self.style_aggregator(stem, first, inject), size, chunk=self.chunk)
         return Attributes(
             opacity=raw[..., 0],
             scale=raw[..., 1:4],
             rotation=raw[..., 4:8],
-            color=color[..., :3, None],
+            color=raw.new_zeros(*raw.shape[:-1], 3, 1),
             confidence=raw[..., 8],
         )
 
@@ -86,6 +88,7 @@ class StylosBranch(StylePredictor):
     styled = ("color",)
     sh_degree = 0
     reads_tokens = True
+    reads_colors = False
 
     def __init__(self, head: GaussianHead) -> None:
         super().__init__()
