@@ -1,19 +1,18 @@
 """This implementation beside the published code, in one run: seconds, memory and equality of results.
 
-``python -m tests.benchmarks.published CHECKOUT --variant head`` takes a checkout of joaxkal/AnyStyle, fills its network
-with hashed weights in fp32 and writes them as its checkpoint, which both networks load strictly, each in a process of
-its own. They take turns on the CPU and never run at once. It prints a table and writes the figures as JSON.
+``python -m tests.benchmarks.published head CHECKOUT`` takes a checkout of the network's repository, fills the published
+network with hashed weights in fp32 and writes them as its checkpoint, which both networks load strictly, each in a
+process of its own. They take turns on the CPU and never run at once. It prints a table and writes the figures as JSON.
 
-What its network needs has to be installed: ``pip install einops``, ``pip install --no-build-isolation torch-scatter``.
-What is only imported is replaced (``published_stand_ins.py``). VGGT's weights are not downloaded, its casts to bf16
-are casts to fp32, and nothing is rendered. Seconds are of CPU time, memory is the largest resident set of each process
-over all it does for a scene, with the weights, which both map from the same file.
+What a network needs has to be installed: ``pip install einops``, and but for Styl3R ``pip install --no-build-isolation
+torch-scatter``. What is only imported is replaced (``published_stand_ins.py``). Nothing is rendered. Seconds are of CPU
+time, memory is the largest resident set of each process over all it does for a scene, with the weights, which both map
+from the same file.
 """
 
 import argparse
 import contextlib
 import ctypes
-import importlib
 import json
 import multiprocessing
 import os
@@ -24,35 +23,29 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import torch
-import torch.nn.functional as F
-import yaml
 from safetensors.torch import load_file, save_file
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from anystyle.cli.run import run
 from anystyle.errors import UserError
-from anystyle.pipeline.weights import load_reference
-from anystyle.testing.oracle import fill_named, hashed, smooth_image
-from anystyle.types import Scene, StyleEmbedding, Views
+from anystyle.testing.oracle import fill_named, smooth_image
+from anystyle.types import Scene
 from tests.benchmarks import published_stand_ins
+from tests.benchmarks.published_networks import NETWORKS, Network, views
 from tests.support.oracle import golden
 
-EXPERIMENTS = {"head": "dl3dv_head", "full": "dl3dv_aggregator"}
-NETWORK = "src/model/encoder/anysplat.py"
-PREFIX = "model.encoder."
-WARM_UP = (56, 112)
 SAME = 1e-4
 """Gaussians of both are one another's where their centres are nearer than this; a voxel is 0.002 wide."""
 
-Step = Callable[[Tensor, Tensor], dict[str, Tensor] | None]
+Step = Callable[[Tensor, Tensor], Mapping[str, Tensor] | None]
 
 
 @dataclass(frozen=True)
@@ -64,12 +57,17 @@ class Case:
     file: Path
     threads: int
 
+    @property
+    def network(self) -> Network:
+        """The published network."""
+        return NETWORKS[self.variant]
 
-def fill(state: Mapping[str, Tensor]) -> None:
+
+def fill(state: Mapping[str, Tensor], network: Network) -> None:
     """Hash the names and places of a published checkpoint into its tensors, as the goldens of the tests have them."""
-    rules = golden("golden_e2e")["fill"]["rules"]
+    rules = golden(network.golden)["fill"]["rules"]
     for key, tensor in state.items():
-        name = key.removeprefix(PREFIX)
+        name = key.removeprefix(network.prefix)
         tensor.copy_(fill_named({name: tensor}, rules)[name])
 
 
@@ -77,57 +75,43 @@ def published(case: Case) -> dict[str, Step]:
     """The published network, which computes everything for every style."""
     published_stand_ins.install()
     sys.path.insert(0, str(case.checkout))
-    torch.bfloat16 = torch.float32  # what its code, which is left as it is, casts to
-    network = importlib.import_module("src.model.encoder.anysplat")
-    vggt = network.VGGT
-    vggt.from_pretrained = lambda name: vggt()
-    config = case.checkout / "config"
-    options = yaml.safe_load((config / "model/encoder/anysplat.yaml").read_text())
-    options |= yaml.safe_load((config / f"experiment/{EXPERIMENTS[case.variant]}.yaml").read_text())["model"]["encoder"]
-    options |= {
-        "gaussian_adapter": network.GaussianAdapterCfg(**options["gaussian_adapter"]),
-        "opacity_mapping": network.OpacityMappingCfg(**options["opacity_mapping"]),
-        "backbone": None,
-    }
-    known = {field.name for field in fields(network.EncoderAnySplatCfg)}
-    encoder = network.EncoderAnySplat(
-        network.EncoderAnySplatCfg(**{name: value for name, value in options.items() if name in known})
-    )
-    state = {PREFIX + name: tensor for name, tensor in encoder.state_dict().items()}
-    fill(state)
-    save_file(state, case.file)
+    network = case.network
+    encoder, run_once = network.build(case.checkout)
+    state = {network.prefix + name: tensor for name, tensor in encoder.state_dict(keep_vars=True).items()}
+    fill({name: tensor.data for name, tensor in state.items()}, network)
+    # A tensor of two names is written twice: the format has no aliases.
+    save_file({name: tensor.data.clone() for name, tensor in state.items()}, case.file)
     del state
-    state = {name.removeprefix(PREFIX): tensor for name, tensor in load_file(case.file).items()}
+    state = {name.removeprefix(network.prefix): tensor for name, tensor in load_file(case.file).items()}
     encoder.load_state_dict(state, assign=True)
     encoder.eval()
     ctypes.CDLL(None).malloc_trim(0)  # what it was built with is not counted
 
-    def single(images: Tensor, vector: Tensor) -> dict[str, Tensor]:
-        gaussians = encoder(images, style_dir=(None, None, None, vector)).gaussians
-        names = ("means", "rotations", "scales", "opacities", "harmonics")
-        return {name: getattr(gaussians, name)[0] for name in names}
+    def single(images: Tensor, style: Tensor) -> dict[str, Tensor]:
+        gaussians = run_once(images, style)
+        names = ("means", "rotations", "scales", "opacities", "harmonics", "covariances")
+        return {name: value[0] for name in names if (value := getattr(gaussians, name, None)) is not None}
 
     return {"single": single}
 
 
 def ours(case: Case) -> dict[str, Step]:
     """This network, which encodes a scene once and then styles it."""
-    stylizer = load_reference(case.file)
+    network = case.network
+    stylizer = network.load(case.file)
     encoded: list[Scene] = []
 
-    def encode(images: Tensor, vector: Tensor) -> None:
-        encoded[:] = [stylizer.encode(Views(images))]
+    def encode(images: Tensor, style: Tensor) -> None:
+        encoded[:] = [stylizer.encode(views(images))]
 
-    def style(images: Tensor, vector: Tensor) -> dict[str, Tensor]:
-        gaussians = stylizer.restyle(encoded[0], StyleEmbedding(vector, vector))
-        found = {name: getattr(gaussians, name)[0] for name in ("means", "rotations", "scales", "opacities")}
-        return found | {"rotations": found["rotations"].roll(-1, -1), "harmonics": gaussians.harmonics[0].mT}
+    def restyle(images: Tensor, style: Tensor) -> Mapping[str, Tensor]:
+        return network.fields(stylizer.restyle(encoded[0], network.embed(stylizer, style)))
 
-    def single(images: Tensor, vector: Tensor) -> None:
+    def single(images: Tensor, style: Tensor) -> None:
         encoded.clear()
-        stylizer(Views(images), StyleEmbedding(vector, vector))
+        stylizer(views(images), network.embed(stylizer, style))
 
-    return {"single": single, "encode": encode, "style": style}
+    return {"single": single, "encode": encode, "style": restyle}
 
 
 def work(build: Callable[[Case], dict[str, Step]], case: Case, pipe: Connection) -> None:
@@ -139,10 +123,10 @@ def work(build: Callable[[Case], dict[str, Step]], case: Case, pipe: Connection)
         pipe.send(list(steps))
         for step, views, size, seed in iter(pipe.recv, None):
             images = smooth_image(seed, [1, views, 3, *size])
-            vector = F.normalize(hashed(1000 + seed, (1, 512), -1, 1), dim=-1)
+            style = case.network.style(seed, size)
             Path("/proc/self/clear_refs").write_text("5")  # the peak begins at what is held now
             started = time.process_time()
-            result = steps[step](images, vector)
+            result = steps[step](images, style)
             seconds = time.process_time() - started
             peak = re.findall(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
             pipe.send(
@@ -157,6 +141,8 @@ def differences(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str,
     same = distance < SAME
     found: dict[str, Any] = {"Gaussians": [len(mine["means"]), len(same)], "same centres": float(same.mean())}
     for name, values in theirs.items():
+        if name not in mine:
+            continue
         worst = float(abs(mine[name][row[same]] - values[same]).max())
         found[name] = [worst, worst / float(abs(values[same]).max())]
     return found
@@ -180,7 +166,7 @@ def measure(case: Case, views: int, size: tuple[int, int], rounds: int) -> dict[
                 taken[name, step] = pipe.recv()
         return taken
 
-    take_turns(WARM_UP, 0)  # both have seen all their weights
+    take_turns(case.network.warm_up, 0)  # both have seen all their weights
     turns = [take_turns(size, seed) for seed in range(1, rounds + 1)]
     for pipe in pipes.values():
         pipe.send(None)
@@ -230,22 +216,23 @@ def table(found: Mapping[str, Any]) -> str:
 def main() -> None:
     """Read the flags, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("variant", choices=NETWORKS)
     parser.add_argument("checkout", type=Path)
-    parser.add_argument("--variant", choices=EXPERIMENTS, default="head")
     parser.add_argument("--views", type=int, default=2)
-    parser.add_argument("--size", type=int, nargs=2, default=(224, 448), metavar=("HEIGHT", "WIDTH"))
+    parser.add_argument("--size", type=int, nargs=2, metavar=("HEIGHT", "WIDTH"))
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("published.json"))
     arguments = parser.parse_args()
-    if not (arguments.checkout / NETWORK).is_file():
-        raise UserError(f"{arguments.checkout} is no checkout of joaxkal/AnyStyle: it has no {NETWORK}")
-    if missing := [name for name in ("einops", "torch_scatter") if find_spec(name) is None]:
+    network = NETWORKS[arguments.variant]
+    if not (arguments.checkout / network.file).is_file():
+        raise UserError(f"{arguments.checkout} is no checkout of {network.repository}: it has no {network.file}")
+    if missing := [name for name in network.needs if find_spec(name) is None]:
         raise UserError(f"the published network needs {' and '.join(missing)}; see --help")
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "anystyle.safetensors"
+        file = Path(folder) / "published.safetensors"
         case = Case(arguments.checkout.resolve(), arguments.variant, file, arguments.threads)
-        found = measure(case, arguments.views, tuple(arguments.size), arguments.rounds)
+        found = measure(case, arguments.views, tuple(arguments.size or network.size), arguments.rounds)
     arguments.out.write_text(json.dumps(found, indent=1) + "\n")
     sys.stdout.write(table(found))
 

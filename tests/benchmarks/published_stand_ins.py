@@ -2,10 +2,10 @@
 
 - ``e3nn``: rotations of harmonics, which its Gaussian adapter imports and never calls;
 - ``torchvision``: backbones that are not chosen, and pictures;
-- ``xformers``: the variant with cross-attention, which is not chosen;
+- ``xformers``: it has no attention for the CPU; PyTorch's own takes its place, and all else is not chosen;
 - ``src.dataset``, of the published code itself: readers of training data, which import much more.
 
-Nothing timed goes through them. The network uses einops and torch-scatter, which have to be installed.
+Nothing else that is timed goes through them. The networks use einops and torch-scatter, which have to be installed.
 """
 
 import sys
@@ -14,6 +14,9 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
+import torch.nn.functional as F
+from torch import Tensor
+
 PACKAGES = ("e3nn", "torchvision", "xformers", "src.dataset")
 
 
@@ -21,11 +24,17 @@ class StandIn:
     """Any class or function of what is missing."""
 
 
+def attention(query: Tensor, key: Tensor, value: Tensor, *, scale: float | None = None, p: float = 0.0) -> Tensor:
+    """``memory_efficient_attention`` of ``B N heads C`` by PyTorch's kernels."""
+    query, key, value = (each.transpose(1, 2) for each in (query, key, value))
+    return F.scaled_dot_product_attention(query, key, value, dropout_p=p, scale=scale).transpose(1, 2)
+
+
 class _Module(ModuleType):
-    def __getattr__(self, name: str) -> type:
+    def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        return StandIn
+        return attention if name == "memory_efficient_attention" else StandIn
 
 
 class _Finder(MetaPathFinder, Loader):

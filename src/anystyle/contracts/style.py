@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
+from weakref import WeakKeyDictionary
 
 import torch
 from jaxtyping import Float
@@ -150,7 +151,15 @@ class Placement(Pluggable, ABC):
         """
 
 
+_neutral: WeakKeyDictionary[StyleEncoder, tuple[list[object], Tensor]] = WeakKeyDictionary()
+
+
 @torch.no_grad()
 def neutral_embedding(encoder: StyleEncoder) -> Float[Tensor, "1 D"]:
-    """The embedding of the encoder's neutral prompt, which style directions start from."""
-    return encoder.embed_texts([encoder.neutral])
+    """The embedding of the encoder's neutral prompt, where style directions start; computed once for its weights."""
+    weights = [*encoder.parameters(), *encoder.buffers()]
+    state: list[object] = [(each.data_ptr(), each._version, each.device, each.dtype) for each in weights]
+    kept = _neutral.get(encoder)
+    if kept is None or kept[0] != state:
+        kept = _neutral[encoder] = state, encoder.embed_texts([encoder.neutral])
+    return kept[1].clone()

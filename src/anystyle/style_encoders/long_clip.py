@@ -109,7 +109,6 @@ class LongClip(StyleEncoder):
             activation=activation,
         )
         self.adapter = TextAdapter(dim) if text_adapter else None
-        self._neutral: tuple[tuple[object, ...], Tensor] | None = None
 
     def load_published(self, state: Mapping[str, Tensor]) -> None:
         load_clip(self.network, state)
@@ -124,14 +123,13 @@ class LongClip(StyleEncoder):
         return F.normalize(self.network.embed_pixels(images), dim=-1)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """Embeddings of texts; that of the neutral prompt is cached."""
-        if list(texts) != [self.neutral] or torch.is_grad_enabled():
-            return self._embed(texts)
-        weight = self.network.text_projection
-        state = (weight.data_ptr(), weight._version, weight.device, weight.dtype, self.adapter)
-        if self._neutral is None or self._neutral[0] != state:
-            self._neutral = (state, self._embed(texts))
-        return self._neutral[1].clone()
+        """Embeddings of texts, each the mean over the templates."""
+        if not texts or any(not text.strip() for text in texts):
+            raise UserError("a text is empty; describe a style in words")
+        prompts = [template.replace("{}", text) for text in texts for template in self.templates]
+        features = self.features(prompts)
+        features = features if self.adapter is None else self.adapter(features)
+        return F.normalize(features.unflatten(0, (len(texts), -1)).mean(1), dim=-1)
 
     def features(self, prompts: Sequence[str]) -> Float[Tensor, "N D"]:
         """The text tower's features of prompts as they are: no template, no adapter, not normalised."""
@@ -148,11 +146,3 @@ class LongClip(StyleEncoder):
                 counted = f"the text {prompt[:40]!r}… has {len(row)} tokens, template included"
                 raise UserError(f"{counted}, and at most {most} are read; shorten it")
         return pad_sequence([torch.tensor(row) for row in rows], batch_first=True)
-
-    def _embed(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        if not texts or any(not text.strip() for text in texts):
-            raise UserError("a text is empty; describe a style in words")
-        prompts = [template.replace("{}", text) for text in texts for template in self.templates]
-        features = self.features(prompts)
-        features = features if self.adapter is None else self.adapter(features)
-        return F.normalize(features.unflatten(0, (len(texts), -1)).mean(1), dim=-1)
