@@ -4,10 +4,9 @@
 network with hashed weights in fp32 and writes them as its checkpoint, which both networks load strictly, each in a
 process of its own. They take turns on the CPU and never run at once. It prints a table and writes the figures as JSON.
 
-What a network needs has to be installed: ``pip install einops``, and but for Styl3R ``pip install --no-build-isolation
-torch-scatter``. What is only imported is replaced (``published_stand_ins.py``). Nothing is rendered. Seconds are of CPU
-time, memory is the largest resident set of each process over all it does for a scene, with the weights, which both map
-from the same file.
+The networks need ``pip install einops``; what is only imported, or cannot run on the CPU, is replaced
+(``published_stand_ins.py``). Nothing is rendered. Seconds are of CPU time, memory is the largest resident set of each
+process over all it does for a scene, with the weights, which both map from the same file.
 """
 
 import argparse
@@ -227,8 +226,8 @@ def main() -> None:
     network = NETWORKS[arguments.variant]
     if not (arguments.checkout / network.file).is_file():
         raise UserError(f"{arguments.checkout} is no checkout of {network.repository}: it has no {network.file}")
-    if missing := [name for name in network.needs if find_spec(name) is None]:
-        raise UserError(f"the published network needs {' and '.join(missing)}; see --help")
+    if find_spec("einops") is None:
+        raise UserError("the published networks need einops: pip install einops")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "published.safetensors"
         case = Case(arguments.checkout.resolve(), arguments.variant, file, arguments.threads)

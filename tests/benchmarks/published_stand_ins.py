@@ -3,9 +3,10 @@
 - ``e3nn``: rotations of harmonics, which its Gaussian adapter imports and never calls;
 - ``torchvision``: backbones that are not chosen, and pictures;
 - ``xformers``: it has no attention for the CPU; PyTorch's own takes its place, and all else is not chosen;
+- ``torch_scatter``, which has to be compiled: sums and maxima of rows by PyTorch's own, a hundredth of the time;
 - ``src.dataset``, of the published code itself: readers of training data, which import much more.
 
-Nothing else that is timed goes through them. The networks use einops and torch-scatter, which have to be installed.
+Nothing else that is timed goes through them. The networks use einops, which has to be installed.
 """
 
 import sys
@@ -17,7 +18,7 @@ from typing import Any
 import torch.nn.functional as F
 from torch import Tensor
 
-PACKAGES = ("e3nn", "torchvision", "xformers", "src.dataset")
+PACKAGES = ("e3nn", "torch_scatter", "torchvision", "xformers", "src.dataset")
 
 
 class StandIn:
@@ -30,11 +31,24 @@ def attention(query: Tensor, key: Tensor, value: Tensor, *, scale: float | None 
     return F.scaled_dot_product_attention(query, key, value, dropout_p=p, scale=scale).transpose(1, 2)
 
 
+def scatter_add(rows: Tensor, index: Tensor, dim: int = 0) -> Tensor:
+    """Sums of the rows of each index."""
+    return rows.new_zeros(int(index.max()) + 1, *rows.shape[1:]).index_add_(dim, index, rows)
+
+
+def scatter_max(values: Tensor, index: Tensor, dim: int = 0) -> tuple[Tensor, None]:
+    """The largest of the values of each index; where it lies is not told."""
+    return values.new_empty(int(index.max()) + 1).scatter_reduce_(dim, index, values, "amax", include_self=False), None
+
+
+COMPUTED = {"memory_efficient_attention": attention, "scatter_add": scatter_add, "scatter_max": scatter_max}
+
+
 class _Module(ModuleType):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        return attention if name == "memory_efficient_attention" else StandIn
+        return COMPUTED.get(name, StandIn)
 
 
 class _Finder(MetaPathFinder, Loader):

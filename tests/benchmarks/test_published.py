@@ -47,6 +47,12 @@ def test_what_is_imported_is_made_up_and_what_is_used_is_not(monkeypatch):
     assert module_from_spec(specs["e3nn.o3"]).wigner_D is published_stand_ins.StandIn
 
 
+def test_sums_and_maxima_of_rows():
+    index, rows = torch.tensor([2, 0, 2, 1]), torch.arange(8.0).view(4, 2)
+    assert published_stand_ins.scatter_add(rows, index).tolist() == [[2, 3], [6, 7], [4, 6]]
+    assert published_stand_ins.scatter_max(rows[:, 0] - 9, index)[0].tolist() == [-7, -3, -5]
+
+
 def test_attention_is_that_of_the_definition():
     query, key, value = (hashed(index, (1, 5, 2, 4), -1, 1) for index in range(3))
     weight = torch.einsum("bnhc,bmhc->bhnm", query, key).mul(0.25).softmax(-1)
