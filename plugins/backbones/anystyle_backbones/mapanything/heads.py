@@ -64,7 +64,7 @@ class GeometryHead(contracts.GeometryHead):
 
     Args:
         dense: Predicts for each pixel a ray (3), the logarithm of the distance along it (1), the logarithm of
-            confidence less one (1), and the logit of a distance that is no guess, as a sky's is (1), which is not read.
+            confidence less one (1), and the logit of the distance being known, unlike a sky's (1), which is not read.
         pose: Predicts poses.
         scale: Predicts the logarithm of the scale.
         taps: The layers that ``dense`` reads, four, in rising order.

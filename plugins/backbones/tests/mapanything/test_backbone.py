@@ -12,7 +12,7 @@ from anystyle.placements.full import Full
 from anystyle.placements.head import Head
 from anystyle.testing.oracle import hashed
 from anystyle.types import Scene, StyleEmbedding
-from anystyle_backbones.mapanything import MapAnything
+from anystyle_backbones.mapanything import MapAnything, heads
 from anystyle_backbones.pointmaps import lens_of, renderable
 from tests.support import mapanything_reference as reference
 from tests.support.backbone_cases import network, same, views
@@ -91,6 +91,26 @@ def test_a_lens_of_exact_rays_is_their_camera_s() -> None:
     rows, columns = torch.meshgrid(torch.arange(28.0), torch.arange(42.0), indexing="ij")
     rays = torch.stack([(columns - 20.0) / 30, (rows - 13.0) / 40, torch.ones_like(rows)], dim=-1)
     torch.testing.assert_close(lens_of(rays[None, None]), torch.tensor([[[30.0, 40.0, 20.0, 13.0]]]))
+
+
+def test_points_of_pinhole_rays_are_seen_at_the_middle_of_their_pixels(
+    backbone: MapAnything, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the pose and the scale."""
+    given = views(2)
+    rows, columns = torch.meshgrid(torch.arange(28.0), torch.arange(42.0), indexing="ij")
+    rays = torch.stack([(columns - 20.0) / 30, (rows - 13.0) / 40, torch.ones_like(rows)], dim=-1)
+    raw = torch.cat([rays.expand(1, 2, -1, -1, -1), hashed(7, (1, 2, 28, 42, 3), -1, 1)], dim=-1)
+    monkeypatch.setattr(heads, "decoded_maps", lambda *_, **__: raw)
+    with torch.no_grad():
+        geometry = backbone.geometry_head(backbone.aggregator(backbone.embedder(given.images)), given.images)
+    assert geometry.pointmap is not None
+    pose = geometry.cameras.camera_from_world[:, :, None, None]
+    local = (pose[..., :3, :3] @ geometry.pointmap[..., None])[..., 0] + pose[..., :3, 3]
+    projected = (geometry.cameras.intrinsics[:, :, None, None] @ local[..., None])[..., 0]
+    seen = projected[..., :2] / projected[..., 2:]
+    torch.testing.assert_close(seen, torch.stack([columns, rows], dim=-1).expand_as(seen) + 0.5, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(local[..., 2], geometry.depth, rtol=1e-4, atol=1e-4)
 
 
 def test_rays_of_no_camera_give_one_that_renders() -> None:

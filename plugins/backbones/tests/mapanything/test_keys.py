@@ -9,6 +9,7 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
+from anystyle.geometry.harmonics import CONSTANT
 from anystyle.pipeline.weights import load_reference
 from anystyle.testing.oracle import smooth_image
 from anystyle.types import Views
@@ -98,4 +99,8 @@ def test_a_checkpoint_becomes_a_stylizer_by_one_call(tmp_path: Path) -> None:
     assert not any(tensor.is_meta for tensor in stylizer.backbone.state_dict().values())
     with torch.no_grad():
         scene = stylizer.encode(Views(smooth_image(1, (1, 2, 3, 28, 42))))
-    assert bool(stylizer.unstyled(scene).means.isfinite().all())
+        gaussians = stylizer.unstyled(scene)
+    assert bool(gaussians.means.isfinite().all())
+    # The Gaussian head, which the file lacks, has its initial values.
+    expected = ((scene.views.images - 0.5) / CONSTANT).movedim(2, -1).flatten(1, 3)
+    torch.testing.assert_close(gaussians.harmonics[:, :, 0], expected, rtol=0, atol=0.1)
