@@ -4,14 +4,15 @@ Each file's ``_about`` states the rule in words; see :mod:`anystyle.testing.orac
 """
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from anystyle.testing.oracle import bounds, hashed
+from anystyle.testing.oracle import assert_matches, bounds, hashed
 
 GOLDENS = Path(__file__).parents[1] / "goldens"
 
@@ -19,6 +20,22 @@ GOLDENS = Path(__file__).parents[1] / "goldens"
 def golden(name: str) -> dict[str, Any]:
     """One file of ``tests/goldens``."""
     return json.loads((GOLDENS / f"{name}.json").read_text())
+
+
+def expanded(keys: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
+    """Tensors without values under the published names; ``{0..5}`` in a name stands for numbers."""
+    written: dict[str, Tensor] = {}
+    for name, shape in keys.items():
+        first, last = map(int, found.groups()) if (found := re.search(r"\{(\d+)\.\.(\d+)\}", name)) else (0, 0)
+        for number in range(first, last + 1):
+            written[re.sub(r"\{.*\}", str(number), name)] = torch.empty(tuple(shape), device="meta")
+    return written
+
+
+def check(actual: Tensor, expected: Mapping[str, Any]) -> None:
+    """Within the tolerance of goldens of networks: 2e-4 of the root mean square, and 1e-4 of the value."""
+    count = torch.tensor(expected["shape"]).prod().item()
+    assert_matches(actual, expected, atol=2e-4 * expected["l2"] / count**0.5)
 
 
 def fill_sorted(shapes: Mapping[str, Tensor]) -> dict[str, Tensor]:

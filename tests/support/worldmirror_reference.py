@@ -1,6 +1,5 @@
 """The goldens of WorldMirror: its weights, inputs and outputs in our types."""
 
-import re
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -9,9 +8,9 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.testing.oracle import assert_matches, fill_named, smooth_image
+from anystyle.testing.oracle import fill_named, smooth_image
 from anystyle.types import Attributes, Cameras, Views
-from tests.support.oracle import golden
+from tests.support.oracle import expanded, golden
 
 TINY: dict[str, Any] = {
     "native_resolution": 70,
@@ -37,13 +36,8 @@ def record() -> dict[str, Any]:
 
 
 def shapes(network: str) -> dict[str, Tensor]:
-    """Tensors without values under the published names; ``{0..5}`` in a name stands for numbers."""
-    written: dict[str, Tensor] = {}
-    for name, shape in record()[network]["keys"].items():
-        first, last = map(int, found.groups()) if (found := re.search(r"\{(\d+)\.\.(\d+)\}", name)) else (0, 0)
-        for number in range(first, last + 1):
-            written[re.sub(r"\{.*\}", str(number), name)] = torch.empty(shape, device="meta")
-    return written
+    """Tensors without values under the published names."""
+    return expanded(record()[network]["keys"])
 
 
 @cache
@@ -58,12 +52,6 @@ def views(case: Mapping[str, Any]) -> Views:
         return Views(images)
     poses, lenses = torch.tensor(case["camera_poses"]), torch.tensor(case["camera_intrs"])
     return Views(images, Cameras(poses, lenses, (images.shape[-2], images.shape[-1])))
-
-
-def check(actual: Tensor, expected: Mapping[str, Any]) -> None:
-    """Within the golden's own tolerance: 2e-4 of the root mean square."""
-    count = torch.tensor(expected["shape"]).prod().item()
-    assert_matches(actual, expected, atol=2e-4 * expected["l2"] / count**0.5)
 
 
 def raw_maps(attributes: Attributes, images: Tensor) -> Tensor:

@@ -178,10 +178,23 @@ def centred_cameras(
     ``rotation`` is world from camera; ``tangent`` that of half the vertical and half the horizontal field of view.
     """
     height, width = size
+    focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
+    one = torch.ones_like(focal_x)
+    lens = torch.stack([focal_x, focal_y, one * (width / 2), one * (height / 2)], dim=-1)
+    return pinhole_cameras(rotation, origin, lens, size)
+
+
+def pinhole_cameras(
+    rotation: Float[Tensor, "B V 3 3"],
+    origin: Float[Tensor, "B V 3"],
+    lens: Float[Tensor, "B V 4"],
+    size: tuple[int, int],
+) -> Cameras:
+    """Cameras at ``origin``, turned by world from camera; ``lens`` is fx, fy, cx and cy, in pixels."""
     last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)
     # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
     pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
-    focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
+    focal_x, focal_y, center_x, center_y = lens.unbind(-1)
     zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
-    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
+    entries = [focal_x, zero, center_x, zero, focal_y, center_y, zero, zero, one]
     return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
+import torch
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
@@ -25,13 +26,36 @@ def dpt_rules(part: str) -> RenamingRules:
     return (
         (rf"^({part})\.resize\.", r"\1.resize_layers."),
         *((rf"^({part})\.reduce\.{level}\.", rf"\1.scratch.layer{level + 1}_rn.") for level in range(4)),
-        *((rf"^({part})\.fusions\.{level}\.", rf"\1.scratch.refinenet{level + 1}.") for level in range(4)),
         (rf"^({part})\.neck\.", r"\1.scratch.output_conv1."),
         (rf"^({part})\.output\.", r"\1.scratch.output_conv2."),
+        *fusion_rules(part),
+    )
+
+
+def fusion_rules(part: str) -> RenamingRules:
+    """The rules from names of :class:`anystyle_backbones.dpt.FusionChain` to DPT's; ``part`` matches the decoders'."""
+    return (
+        *((rf"^({part})\.fusions\.{level}\.", rf"\1.scratch.refinenet{level + 1}.") for level in range(4)),
         (r"(refinenet\d(?:_aux)?)\.level\.", r"\1.resConfUnit1."),
         (r"(refinenet\d(?:_aux)?)\.refine\.", r"\1.resConfUnit2."),
         (r"(refinenet\d(?:_aux)?)\.project\.", r"\1.out_conv."),
     )
+
+
+def first_names(state: Mapping[str, Tensor], rules: RenamingRules) -> dict[str, Tensor]:
+    """A state dict without the second names of its tensors, which ``rules`` turn into the first.
+
+    Raises:
+        UserError: Two names of one tensor have different values.
+    """
+    first: dict[str, Tensor] = {}
+    for name, tensor in state.items():
+        known = first.setdefault(renamed(name, rules), tensor)
+        if known is not tensor and not torch.equal(known, tensor):
+            raise UserError(
+                f"the checkpoint's {name} and {renamed(name, rules)} are one tensor, and differ; get the file again"
+            )
+    return first
 
 
 def checked_parts(state: Mapping[str, Tensor], parts: tuple[str, ...], *, publisher: str, advice: str) -> None:

@@ -160,7 +160,9 @@ def start_as_dino(module: nn.Module) -> None:
             nn.init.zeros_(layer.bias)
 
 
-def run(block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary, *, recompute: bool) -> Float[Tensor, "M L C"]:
+def run(
+    block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary | None = None, *, recompute: bool
+) -> Float[Tensor, "M L C"]:
     """A block's tokens; with ``recompute`` activations are recomputed in the backward pass (gradient checkpointing)."""
     if recompute and torch.is_grad_enabled():
         return checkpoint(block, x, angles, use_reentrant=False)

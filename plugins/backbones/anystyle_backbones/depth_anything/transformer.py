@@ -1,6 +1,6 @@
 """One transformer: an embedder of single views, and later blocks whose attention alternates."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,13 +10,10 @@ from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block, run, start_as_dino
-from anystyle.nn.tokens import grid_of, grid_positions, normalised, rotary
+from anystyle.nn.tokens import grid_positions, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
-from anystyle_backbones.heads import positions
+from anystyle_backbones.dino import by_view, patch_tokens
 from anystyle_backbones.reference_view import Strategy, is_reference, reference_view
-
-OFFSET = 0.1
-"""Added to the sides of a grid of patches where position embeddings are resampled, as DINOv2 was trained."""
 
 
 class Embedder(contracts.Embedder):
@@ -44,32 +41,13 @@ class Embedder(contracts.Embedder):
 
     def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
         """Embed sRGB images in [0, 1]."""
-        tokens = self.patches(images)
+        tokens = patch_tokens(images, self.proj, self.cls_token, self.pos_embed)
         for block in self.blocks[:-1]:
             tokens = tokens.with_data(by_view(block, tokens.data))
         tokens = replace(tokens, reference=reference_view(images, tokens.data[:, :, 0], self.reference))
         tokens = tokens.with_data(by_view(self.blocks[-1], tokens.data))
         camera = self.camera_token[0][1 - is_reference(tokens).long()].to(tokens.data.dtype)
         return tokens.with_data(torch.cat([camera[:, :, None], tokens.patches], dim=2))
-
-    def patches(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
-        """Class token and patches, with positions added."""
-        batch, views = images.shape[:2]
-        grid = grid_of(images, self.patch_size)
-        patches = self.proj(normalised(images.to(self.proj.weight.dtype)).flatten(0, 1)).flatten(2).mT
-        cls = self.cls_token.to(patches.dtype).expand(batch * views, -1, -1)
-        tokens = torch.cat([cls, patches], dim=1) + self.positions(grid).to(patches.dtype)
-        return Tokens(tokens.unflatten(0, (batch, views)), grid=grid, special=1)
-
-    def positions(self, grid: tuple[int, int]) -> Float[Tensor, "1 L C"]:
-        """Position embeddings of the class token and of a grid."""
-        factors = [(side + OFFSET) / self.grid for side in grid]
-        return positions(self.pos_embed, grid, scale_factor=factors)
-
-
-def by_view(function: Callable[[Tensor], Tensor], data: Float[Tensor, "B V P C"]) -> Float[Tensor, "B V P C"]:
-    """Apply a function to the tokens of each view."""
-    return function(data.flatten(0, 1)).unflatten(0, (-1, data.shape[1]))
 
 
 class Aggregator(contracts.Aggregator):

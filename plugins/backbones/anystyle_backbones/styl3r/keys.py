@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from anystyle.errors import UserError
 from anystyle.published import Published
-from anystyle_backbones.published import checked_parts, count, length, load_renamed, renamed
+from anystyle_backbones.published import checked_parts, count, fusion_rules, length, load_renamed, renamed
 
 LAYOUT = "Styl3R; choose model=styl3r"
 PUBLISHER = "Styl3R's"
@@ -53,10 +53,7 @@ _RULES = (
     (r"\.dpt\.projects\.(\d)\.", r".dpt.act_postprocess.\1.0."),
     (r"\.dpt\.resize\.(\d)\.", r".dpt.act_postprocess.\1.1."),
     *((rf"\.dpt\.reduce\.{level}\.", f".dpt.scratch.layer{level + 1}_rn.") for level in range(4)),
-    *((rf"\.dpt\.fusions\.{level}\.", f".dpt.scratch.refinenet{level + 1}.") for level in range(4)),
-    (r"(refinenet\d)\.level\.", r"\1.resConfUnit1."),
-    (r"(refinenet\d)\.refine\.", r"\1.resConfUnit2."),
-    (r"(refinenet\d)\.project\.", r"\1.out_conv."),
+    *fusion_rules(r".*\.dpt"),
     (r"\.dpt\.neck\.", ".dpt.head.0."),
     (r"^(downstream_head\d\.dpt)\.output\.0\.", r"\1.head.2."),
     (r"\.dpt\.output\.2\.", ".dpt.head.4."),

@@ -12,12 +12,13 @@ from anystyle_backbones.anysplat.adapter import clusters_of, fuse, summed
 class Adapter(contracts.Adapter):
     """Activates pixels' Gaussians, and averages those of a voxel by their weights.
 
-    A fused quaternion is the normalised average, of signs as they are.
+    A fused quaternion is the normalised average, of signs as they are. With ``footprints`` scales are in sides of what
+    the pixel covers at its Gaussian's depth, otherwise in world units.
     """
 
-    def __init__(self, *, fuse: bool, voxel_size: float, scale_max: float) -> None:
+    def __init__(self, *, fuse: bool, voxel_size: float, scale_max: float, footprints: bool = False) -> None:
         super().__init__()
-        self.fuse, self.voxel_size, self.scale_max = fuse, voxel_size, scale_max
+        self.fuse, self.voxel_size, self.scale_max, self.footprints = fuse, voxel_size, scale_max, footprints
 
     def cluster(self, geometry: Geometry, attributes: Attributes) -> Clusters | None:
         """Pixels that share a voxel become one Gaussian; voxels begin at the multiples of their size."""
@@ -40,7 +41,10 @@ class Adapter(contracts.Adapter):
             flat = values.flatten(1, 3)
             return flat if clusters is None else fuse(flat, clusters)
 
-        rotation = attributes.rotation
+        rotation, scale = attributes.rotation, attributes.scale.exp()
+        if self.footprints:
+            focal = geometry.cameras.intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2]
+            scale = scale * (geometry.depth.abs() * (1 / focal).mean(-1)[:, :, None, None])[..., None]
         rotations = gather(rotation / (rotation.norm(dim=-1, keepdim=True) + 1e-8))
         if clusters is not None:
             rotations = rotations / rotations.norm(dim=-1, keepdim=True).clamp_min(1e-8)
@@ -49,7 +53,7 @@ class Adapter(contracts.Adapter):
         return Gaussians(
             means=geometry.points().flatten(1, 3) if clusters is None else clusters.means,
             rotations=rotations,
-            scales=gather(attributes.scale.exp().clamp_max(self.scale_max)),
+            scales=gather(scale.clamp_max(self.scale_max)),
             opacities=gather(attributes.opacity.sigmoid()[..., None])[..., 0],
             harmonics=gather(attributes.color.flatten(4))[:, :, None],
         )

@@ -12,7 +12,7 @@ from anystyle.types import Attributes, Geometry
 from anystyle_backbones.worldmirror import WorldMirror
 from anystyle_backbones.worldmirror.heads import GeometryHead
 from tests.support import worldmirror_reference as reference
-from tests.support.worldmirror_reference import check
+from tests.support.oracle import check
 
 GOLDEN = reference.record()
 CASES = [name for name, one in GOLDEN["tiny"].items() if isinstance(one, dict) and "records" in one]
