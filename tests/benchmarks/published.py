@@ -29,7 +29,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import load_file, save_file
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -75,13 +74,16 @@ def published(case: Case) -> dict[str, Step]:
     published_stand_ins.install()
     sys.path.insert(0, str(case.checkout))
     network = case.network
+    real = torch.bfloat16
     encoder, run_once = network.build(case.checkout)
+    replaced, torch.bfloat16 = torch.bfloat16, real
     state = {network.prefix + name: tensor for name, tensor in encoder.state_dict(keep_vars=True).items()}
     fill({name: tensor.data for name, tensor in state.items()}, network)
-    # A tensor of two names is written twice: the format has no aliases.
-    save_file({name: tensor.data.clone() for name, tensor in state.items()}, case.file)
+    torch.save({"state_dict": {name: tensor.data for name, tensor in state.items()}}, case.file)
     del state
-    state = {name.removeprefix(network.prefix): tensor for name, tensor in load_file(case.file).items()}
+    loaded = torch.load(case.file, mmap=True)["state_dict"]
+    state = {name.removeprefix(network.prefix): tensor for name, tensor in loaded.items()}
+    torch.bfloat16 = replaced
     encoder.load_state_dict(state, assign=True)
     encoder.eval()
     ctypes.CDLL(None).malloc_trim(0)  # what it was built with is not counted
@@ -229,7 +231,7 @@ def main() -> None:
     if find_spec("einops") is None:
         raise UserError("the published networks need einops: pip install einops")
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "published.safetensors"
+        file = Path(folder) / "published.ckpt"
         case = Case(arguments.checkout.resolve(), arguments.variant, file, arguments.threads)
         found = measure(case, arguments.views, tuple(arguments.size or network.size), arguments.rounds)
     arguments.out.write_text(json.dumps(found, indent=1) + "\n")
