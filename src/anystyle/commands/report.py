@@ -19,6 +19,7 @@ def parser() -> argparse.ArgumentParser:
         "report",
         "Set runs side by side: evaluations, trainings, the jobs of a multirun. A row for each variant "
         "(runs that differ by seed alone are one), figures in columns; jobs that failed are marked so in their row.",
+        epilog="anystyle report verify DIR makes figures of such a table again, and compares them.",
     )
     words.add_argument("folders", nargs="*", type=Path, metavar="DIR", help="a run, a multirun, or a folder of these")
     words.add_argument("--figures", default="", metavar="A,B", help="which figures, in this order (default: all)")
@@ -35,7 +36,12 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``anystyle report``."""
-    arguments = parse(parser(), words_of(argv))
+    given = words_of(argv)
+    if given[:1] == ["verify"]:
+        from anystyle.commands import report_verify
+
+        return report_verify.main(given[1:])
+    arguments = parse(parser(), given)
     with_published = arguments.with_published or bool(arguments.published)
     if not arguments.folders and not with_published and not arguments.paper:
         raise UserError("no folder is named; give a run, a multirun or an evaluation, or --with-published alone")
@@ -96,4 +102,4 @@ def _side_by_side(
 
 
 if __name__ == "__main__":
-    run(main)
+    run(lambda: sys.exit(main()))

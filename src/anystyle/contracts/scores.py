@@ -39,6 +39,9 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     better: ClassVar[Mapping[str, str]]
     """For each name that :meth:`compute` returns, ``higher`` or ``lower``."""
 
+    timed: ClassVar[bool] = False
+    """Whether its figures are times, which vary between runs on the same images."""
+
     stand_ins: Mapping[str, str] = MappingProxyType({})
     """Set by an instance: for each figure that a stand-in network computes, the network's name."""
 

@@ -39,7 +39,12 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
         figures={**evaluation.figures, **evaluation.times},
         better={**evaluation.better, **dict.fromkeys(evaluation.times, "lower")},
     )
-    facts = {"n": evaluation.n, "better": dict(evaluation.better), "stand_ins": dict(evaluation.stand_ins)}
+    facts = {
+        "n": evaluation.n,
+        "timed": [*evaluation.provenance.get("timed", []), *evaluation.times],
+        "better": dict(evaluation.better),
+        "stand_ins": dict(evaluation.stand_ins),
+    }
     table = summary(evaluation)
     rows = rows_table(evaluation.rows, evaluation.stand_ins)
     texts = {"metrics.csv": rows.csv(), "table.md": table.markdown(), "table.tex": table.latex()}

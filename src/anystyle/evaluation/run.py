@@ -16,6 +16,7 @@ from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
+from anystyle.evaluation.provenance import foundations
 from anystyle.io.atomic import folder_lock, write_json
 from anystyle.io.documents import read_json
 from anystyle.io.record import commit, machine, versions
@@ -131,7 +132,9 @@ def run(
             "seed": config.seed,
             "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
             "versions": versions(),
+            "timed": [name for metric in parts.get("metrics", {}).values() if metric.timed for name in metric.better],
         }
+        provenance |= foundations(provenance["config"])
         written = record.write(evaluation, out, provenance)
     plots.examples(evaluation, out / "examples.png")
     try:

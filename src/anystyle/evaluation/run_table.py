@@ -209,10 +209,27 @@ def state_notes(lines: Sequence[Line]) -> list[str]:
     notes = [f"{len(states)} of {len(lines)} rows have no figures: {', '.join(states)}."] if states else []
     if any(line.origin == "stand-in" for line in lines):
         notes.append(f"Rows marked “{STAND_IN}” come from networks that replace the published ones.")
+    notes += version_notes(lines)
     num_seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
     if num_seeds > 1:
         notes.append(f"± is half the width of the 95 % t interval of the mean over {num_seeds} seeds.")
     return notes
+
+
+def version_notes(lines: Sequence[Line]) -> list[str]:
+    """Whether all evaluations behind the rows were made by one version of the code and its libraries."""
+    made: dict[str, list[str]] = {}
+    for line in lines:
+        for run in line.runs if line.samples else ():
+            known = run.record().provenance
+            words = [" ".join(pair) for pair in known.get("versions", {}).items()]
+            code = f"commit {known['commit'][:12]}{'+' * known['commit'].endswith('+')}" if known.get("commit") else ""
+            made.setdefault(", ".join(filter(None, [*words, code])), []).append(line.title)
+    made.pop("", None)  # what a training logged
+    if len(made) < 2:
+        return [f"All figures computed here are of {version}." for version in made]
+    rows = (f"{version}: {', '.join(dict.fromkeys(titles))}" for version, titles in made.items())
+    return [f"Rows are of {len(made)} versions. {'; '.join(rows)}."]
 
 
 def sheet_cells(lines: Sequence[Line], *, num_styles: int = 6) -> tuple[list[list[Cell]], list[str], list[str]] | None:

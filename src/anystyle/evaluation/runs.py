@@ -61,7 +61,9 @@ def _inside(folder: Path) -> Iterator[Run]:
 
 
 def _is_run(folder: Path) -> bool:
-    return (folder / record.FILE).is_file() or (folder / OVERRIDES).is_file() or bool(_evaluation(folder))
+    if (folder / record.FILE).is_file() or (folder / OVERRIDES).is_file():
+        return True
+    return len(list(folder.glob(f"*/{record.FILE}"))) == 1 and bool(_evaluation(folder))
 
 
 def _run(folder: Path) -> Run:

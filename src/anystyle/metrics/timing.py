@@ -22,6 +22,7 @@ class Timing(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"seconds": "lower"}
+    timed: ClassVar[bool] = True
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         if comparison.seconds is None:

@@ -1,0 +1,57 @@
+"""Make figures of a table again, and compare them and what they rest on."""
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.progress import progress_lines
+from anystyle.cli.run import FAILED, run, words_of
+from anystyle.evaluation import run_table, runs, verify
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``anystyle report verify``; returns the exit status."""
+    words = new_parser(
+        "report verify",
+        "Make the evaluations behind one cell of a table again, in a fresh folder, and compare every figure: equal, "
+        "equal within rounding, or not, and then what has changed (code, library, plugin, weights, input). "
+        "A training is not repeated: its weights are judged again. Exit status 2 if a figure is another one.",
+    )
+    words.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="as for anystyle report")
+    which = words.add_mutually_exclusive_group()
+    which.add_argument("--row", metavar="ROW", help="a cell of this row (default: any cell, at random)")
+    which.add_argument("--all", action="store_true", help="every evaluation")
+    words.add_argument("--cheap", action="store_true", help="compare versions and hashes alone; compute nothing")
+    words.add_argument("--out", type=Path, help="keep the evaluations that are made here")
+    arguments = parse(words, words_of(argv))
+    items = [item for folder in arguments.folders for item in runs.find(folder)]
+    lines, _ = run_table.lines_of(items)
+    if arguments.all:
+        chosen = [each for line in lines for each in line.runs]
+    else:
+        line, figure = verify.cell_of(lines, arguments.row)
+        print(f"{figure} of {line.title}: {line.source}", file=sys.stderr)
+        chosen = list(line.runs)
+    folders = list(dict.fromkeys(each.evaluation for each in chosen if each.evaluation))
+    out = arguments.out or Path(tempfile.mkdtemp(prefix="anystyle-verify-"))
+    checked: list[verify.Verification] = []
+    try:
+        for number, folder in enumerate(folders):
+            made = (
+                verify.cheaply(folder) if arguments.cheap else verify.again(folder, out / str(number), progress_lines())
+            )
+            checked.append(made)
+            print(made, flush=True)
+    finally:
+        if arguments.out is None:
+            shutil.rmtree(out)
+    held = sum(each.holds for each in checked)
+    print(f"{held} of {len(checked)} evaluations hold")
+    return 0 if held == len(checked) else FAILED
+
+
+if __name__ == "__main__":
+    run(lambda: sys.exit(main()))

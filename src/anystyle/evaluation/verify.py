@@ -1,0 +1,193 @@
+"""Whether figures can be made again: what they rest on, compared with what is there now, and the figures themselves."""
+
+import contextlib
+import math
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from anystyle.contracts.protocol import Evaluation
+from anystyle.errors import UserError, one_line
+from anystyle.evaluation import record
+from anystyle.evaluation.provenance import foundations
+from anystyle.evaluation.run_table import ALL, Line
+from anystyle.io.checkpoint import sha256
+from anystyle.io.record import commit, versions
+from anystyle.registry.untrusted import check_saved
+from anystyle.types import OnProgress
+from anystyle.vision import weights
+
+ROUNDING = 1e-5
+"""Figures that differ by less than this share of their value are equal within rounding."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """An evaluation, and what became of it.
+
+    Args:
+        folder: Where the evaluation lies.
+        figures: How many figures were compared.
+        worst: The name of the one that differs most, its value before and now; ``None`` if none differs.
+        changed: What it rests on that is not what it was, in words.
+        failure: Why it cannot be made again.
+    """
+
+    folder: Path
+    figures: int = 0
+    worst: tuple[str, float, float] | None = None
+    changed: tuple[str, ...] = ()
+    failure: str = ""
+
+    @property
+    def difference(self) -> float:
+        """The largest difference, as a share of the value."""
+        return 0.0 if self.worst is None else _difference(*self.worst[1:])
+
+    @property
+    def holds(self) -> bool:
+        """Whether the figures were made again, or what they rest on is unchanged where they were not."""
+        return not self.failure and self.difference <= ROUNDING and not (self.changed and not self.figures)
+
+    def __str__(self) -> str:
+        changed = f"changed: {', '.join(self.changed)}" if self.changed else "nothing it rests on has changed"
+        if self.failure:
+            return f"{self.folder}: cannot be made again: {self.failure}; {changed}"
+        if not self.figures:
+            return f"{self.folder}: {changed}"
+        if self.worst is None:
+            return f"{self.folder}: all {self.figures} figures are equal; {changed}"
+        name, before, now = self.worst
+        if self.holds:
+            most = f"{name} by {self.difference:.1e} of its value"
+            return f"{self.folder}: all {self.figures} figures are equal within rounding, {most}; {changed}"
+        return f"{self.folder}: {name} is {now:.6g} and was {before:.6g}; {changed}"
+
+
+def rests_on(provenance: Mapping[str, Any]) -> dict[str, str]:
+    """The versions and hashes of a record, by what they are of."""
+    found = {"code": str(provenance.get("commit", ""))}
+    found |= {f"library {name}": str(value) for name, value in provenance.get("versions", {}).items()}
+    found |= {f"plugin {name}": str(value) for name, value in provenance.get("plugins", {}).items()}
+    found |= {f"input {name}": str(value) for name, value in provenance.get("inputs", {}).items()}
+    for part, entry in provenance.get("weights", {}).items():
+        files = {entry["file"]: entry["sha256"]} if "sha256" in entry else entry
+        found |= {f"weights {part} ({file})": str(value) for file, value in files.items()}
+    return found
+
+
+def changes(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    """What is not what it was, in words; code with uncommitted changes is never known to be the same."""
+    words = [
+        f"{name} {_short(old)} -> {_short(now.get(name, ''))}" for name, old in before.items() if now.get(name) != old
+    ]
+    dirty = (
+        "code (uncommitted changes)"
+        if before.get("code", "").endswith("+") == now.get("code", "").endswith("+")
+        else ""
+    )
+    return tuple([*words, dirty] if dirty and before.get("code", "").endswith("+") else words)
+
+
+def _short(value: str) -> str:
+    return value[:12] if len(value) > 20 else value or "missing"
+
+
+def cheaply(folder: Path) -> Verification:
+    """Compare what an evaluation rests on with what is there now; nothing is computed."""
+    stored = _stored(folder)
+    known = stored.provenance
+    with _at(known):
+        now = {**foundations(known["config"]), "commit": commit(), "versions": versions()}
+        now["weights"] = {part: _weights_now(part, entry, known["config"]) for part, entry in known["weights"].items()}
+    return Verification(folder, changed=changes(rests_on(known), rests_on(now)))
+
+
+def _weights_now(part: str, entry: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
+    """The hashes of the files that a part was loaded from, as they are now."""
+    from anystyle.pipeline.load import weights_file
+
+    rows = {row.file: name for name, row in weights.files().items()}
+
+    def now(file: str) -> str:
+        given = config.get("weights", {}).get(part)
+        try:
+            return sha256(weights_file(given) if given is not None else weights.find(rows[file]))
+        except (UserError, OSError, KeyError):
+            return "missing"
+
+    if "sha256" in entry:
+        return {"file": entry["file"], "sha256": now(entry["file"])}
+    return {file: now(file) for file in entry}
+
+
+def again(folder: Path, out: Path, on_progress: OnProgress) -> Verification:
+    """Make an evaluation again in the folder ``out``, and compare all its figures but times."""
+    from anystyle.evaluation.run import run
+
+    stored = _stored(folder)
+    known = stored.provenance
+    config = check_saved(known["config"], folder / record.FILE)
+    out = out.resolve()
+    with _at(known):
+        try:
+            made = run(OmegaConf.create(config), out, on_progress=on_progress)
+        except (UserError, OSError) as error:
+            return Verification(folder, failure=one_line(error), changed=cheaply(folder).changed)
+    before, now = _figures(stored), _figures(record.read(out) or made)
+    worst = max(before, key=lambda name: _difference(before[name], now.get(name, math.nan)))
+    pair = before[worst], now.get(worst, math.nan)
+    changed = changes(rests_on(known), rests_on(made.provenance))
+    return Verification(folder, len(before), (worst, *pair) if _difference(*pair) else None, changed)
+
+
+def _difference(before: float, now: float) -> float:
+    if before == now or (math.isnan(before) and math.isnan(now)):
+        return 0.0
+    return math.inf if math.isnan(before) or math.isnan(now) else abs(now - before) / max(abs(before), abs(now))
+
+
+def _stored(folder: Path) -> Evaluation:
+    stored = record.read(folder)
+    if stored is None or not isinstance(stored.provenance.get("config"), Mapping):
+        raise UserError(f"{folder} holds no evaluation with its configuration; evaluate again")
+    return stored
+
+
+def _figures(evaluation: Evaluation) -> dict[str, float]:
+    """All figures by name, of groups too, but times."""
+    timed = tuple(evaluation.provenance.get("timed", []))
+    groups = {"": evaluation.figures, **evaluation.groups}
+    return {
+        f"{name} of {group}" if group else name: value
+        for group, figures in groups.items()
+        for name, value in figures.items()
+        if not name.startswith(timed)  # a protocol may have a figure for each guide: `seconds_text`
+    }
+
+
+@contextlib.contextmanager
+def _at(provenance: Mapping[str, Any]) -> Iterator[None]:
+    """Where relative paths of a record begin, if that folder still is there."""
+    folder = Path(provenance.get("folder", "."))
+    with contextlib.chdir(folder if folder.is_dir() else "."):
+        yield
+
+
+def cell_of(lines: Sequence[Line], row: str | None = None, seed: int | None = None) -> tuple[Line, str]:
+    """A row of a table with figures, at random unless it is named, and one of its figures at random."""
+    known = [line for line in lines if any(run.evaluation for run in line.runs) and line.samples]
+    chosen = [line for line in known if row in (None, line.title)]
+    if not chosen:
+        titles = ", ".join(dict.fromkeys(line.title for line in known)) or "none"
+        raise UserError(
+            f"no row of an evaluation is named {row!r}; there are {titles}" if row else "there are no evaluations"
+        )
+    draw = random.Random(seed)
+    line = draw.choice(chosen)
+    scene, name = draw.choice(sorted(line.samples))
+    return line, name if scene == ALL else f"{name} of {scene}"

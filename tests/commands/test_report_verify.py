@@ -1,0 +1,106 @@
+"""`anystyle report verify`: figures made again, and what has changed where they cannot be."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from anystyle.commands import evaluate, report
+from anystyle.errors import UserError
+from anystyle.evaluation import provenance, verify
+from anystyle.evaluation.runs import find
+from tests.support.evaluation_cases import folders, picture
+
+METRICS = "metric=[psnr,timing]"
+
+
+@pytest.fixture
+def evaluated(tmp_path, monkeypatch):
+    """Two evaluations of folders, with relative paths."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(verify, "commit", lambda: "a" * 40)
+    monkeypatch.setattr("anystyle.evaluation.run.commit", lambda: "a" * 40)
+    folders(tmp_path / "in")
+    given = ["--content", "in/content", "--style", "in/style", "--stylized", "in/stylized", METRICS]
+    for name in ("first", "second"):
+        evaluate.main([*given, "--out", f"runs/{name}"])
+    return tmp_path / "runs"
+
+
+def verified(capsys, folder: Path, *words: str) -> tuple[int, list[str]]:
+    capsys.readouterr()
+    status = report.main(["verify", str(folder), *words])
+    return status, capsys.readouterr().out.splitlines()
+
+
+def edit(folder: Path, change) -> None:
+    stored = json.loads((folder / "metrics.json").read_text())
+    change(stored)
+    (folder / "metrics.json").write_text(json.dumps(stored))
+
+
+def test_all_is_made_again_from_anywhere_and_times_are_not_compared(evaluated, capsys, monkeypatch):
+    edit(evaluated / "first", lambda stored: stored.update(psnr=stored["psnr"] * (1 + 1e-7)))
+    monkeypatch.chdir(evaluated.parents[1])
+    status, lines = verified(capsys, evaluated, "--all")
+    kept = "nothing it rests on has changed"
+    assert status == 0 and lines[2:] == ["2 of 2 evaluations hold"]
+    assert (
+        lines[0]
+        == f"{evaluated / 'first'}: all 3 figures are equal within rounding, psnr by 1.0e-07 of its value; {kept}"
+    )
+    assert lines[1] == f"{evaluated / 'second'}: all 3 figures are equal; {kept}"
+
+
+def test_another_figure_is_told_with_what_has_changed(evaluated, capsys):
+    picture(Path("in/stylized/one/a_1.png"), 250)
+    edit(evaluated / "second", lambda stored: stored["provenance"]["versions"].update(torch="1.0"))
+    status, lines = verified(capsys, evaluated, "--row", "second", "--out", "kept")
+    assert status == 2 and lines[-1] == "0 of 1 evaluations hold"
+    assert "psnr" in lines[0] and "and was" in lines[0] and "changed: library torch 1.0 -> " in lines[0]
+    assert "input protocol.stylized " in lines[0] and "content" not in lines[0].replace("in/content", "")
+    assert Path("kept/0/metrics.json").is_file()
+    status, lines = verified(capsys, evaluated, "--row", "second", "--cheap")
+    assert status == 2 and lines[0].startswith(f"{evaluated / 'second'}: changed: library torch 1.0 -> ")
+    shutil.rmtree("in/stylized")
+    status, lines = verified(capsys, evaluated, "--row", "first")
+    assert status == 2 and "cannot be made again: there is no stylized folder" in lines[0]
+    assert "changed: input protocol.stylized" in lines[0] and "-> missing" in lines[0]
+
+
+def test_a_cell_is_drawn_at_random_and_one_by_name(evaluated, capsys):
+    status, lines = verified(capsys, evaluated, "--cheap")
+    assert status == 0 and lines[-1] == "1 of 1 evaluations hold"
+    with pytest.raises(UserError, match="there are first, second"):
+        report.main(["verify", str(evaluated), "--row", "third"])
+
+
+def test_code_with_uncommitted_changes_is_never_the_same():
+    assert verify.changes({"code": "abc+"}, {"code": "abc+"}) == ("code (uncommitted changes)",)
+    assert verify.changes({"code": "abc"}, {"code": "abc"}) == ()
+
+
+def test_the_table_says_whether_its_rows_are_of_one_version(evaluated, capsys):
+    report.main([str(evaluated)])
+    assert "All figures computed here are of anystyle " in capsys.readouterr().out
+    edit(evaluated / "second", lambda stored: stored["provenance"].update(commit="b" * 40))
+    report.main([str(evaluated)])
+    told = capsys.readouterr().out
+    assert "Rows are of 2 versions. anystyle " in told and "commit aaaaaaaaaaaa: first; " in told
+
+
+def test_inputs_are_hashes_of_the_files_that_options_name(tmp_path, monkeypatch):
+    content, *_ = folders(tmp_path / "in")
+    config = {"protocol": {"content": str(content), "missing": "refuse", "depth": None}, "out": str(tmp_path)}
+    found = provenance.foundations(config)["inputs"]
+    first = found["protocol.content"]
+    assert list(found) == ["protocol.content"]
+    shutil.copytree(content, tmp_path / "copy")
+    assert provenance.digest(tmp_path / "copy") == first and len(first) == 64
+    monkeypatch.setattr(provenance, "MOST_BYTES", 10)
+    assert provenance.digest(content).startswith("sizes ")
+
+
+def test_several_evaluations_in_one_folder_are_a_row_each(evaluated):
+    assert [run.folder.name for run in find(evaluated)] == ["first", "second"]
