@@ -34,6 +34,14 @@ def test_a_directory_appears_whole_and_replaces_what_it_names(tmp_path):
     assert names == [".anystyle", "mine.txt", "renders", "renders/new.png", "report.json"]
 
 
+def test_what_stays_of_an_earlier_run_is_told(tmp_path, caplog):
+    for names in (("01-wave", "report.json"), ("scene.ply", "report.json")):
+        with atomic_directory(tmp_path) as temporary:
+            for name in names:
+                (temporary / name).touch()
+    assert caplog.messages == [f"{tmp_path} also holds 01-wave of an earlier run"]
+
+
 def test_what_this_program_did_not_make_is_never_replaced(tmp_path):
     (tmp_path / "sparse").mkdir()
     (tmp_path / "sparse" / "cameras.bin").write_bytes(b"of the capture")

@@ -1,6 +1,7 @@
 """Writing files so that nothing half-written ever stays under its final name."""
 
 import json
+import logging
 import os
 import shutil
 import tempfile
@@ -13,6 +14,7 @@ from filelock import FileLock, Timeout
 from anystyle.errors import UserError
 from anystyle.io.documents import kept_json, plain
 
+_log = logging.getLogger(__name__)
 MADE = ".anystyle"
 """The file in which a folder of results lists the entries that this program made there."""
 PARTIAL = ".partial-"
@@ -53,9 +55,9 @@ def write_json(path: str | Path, value: object) -> None:
 def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iterator[Path]:
     """Yield a temporary directory whose entries move into ``target`` when the block succeeds.
 
-    Entries of the same names from an earlier call are replaced, others stay; a failing block leaves nothing. A
-    UserError is raised where ``target`` is a file, or holds an entry of that name which this program did not make; for
-    the ``expected`` names before the block begins.
+    Entries of the same names from an earlier call are replaced, others stay, and a warning names them; a failing block
+    leaves nothing. A UserError is raised where ``target`` is a file, or holds an entry of that name which this program
+    did not make; for the ``expected`` names before the block begins.
     """
     target = Path(target)
     if target.exists() and not target.is_dir():
@@ -76,6 +78,8 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
                 if (target / name).is_dir() and not (target / name).is_symlink():
                     shutil.rmtree(target / name)
                 (temporary / name).replace(target / name)
+            if left := sorted(name for name in earlier.difference(names) if (target / name).exists()):
+                _log.warning("%s also holds %s of an earlier run", target, ", ".join(left))
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
 
