@@ -84,6 +84,7 @@ def _side_by_side(
     # Rows without figures of single scenes have columns of their own.
     overall = any(line.samples and not any(scene for scene, _ in line.samples) for line in lines)
     columns = run_table.columns_of(lines, names, [*([run_table.ALL] if overall or not scenes else []), *scenes])
+    lines = [line for line in lines if line.state or any(column in line.samples for column in columns)]
     notes = run_table.state_notes(lines) + sources
     table = run_table.table(lines, columns, better, notes=notes)
     written = table.write(out, "table")

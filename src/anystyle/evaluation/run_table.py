@@ -108,8 +108,8 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
 
 
 def _title(run: Run, common: set[str]) -> str:
-    """The words of a run that others do not have, without its seed."""
-    words = [word for word in run.words if word.partition("=")[0].lstrip("+") != "seed"]
+    """The words of a run that others do not have, without its seed and its folder."""
+    words = [word for word in run.words if word.partition("=")[0].lstrip("+") not in ("seed", "out")]
     words = [word for word in words if word not in common] or (words if common else [])
     if not words:
         return run.folder.resolve().name
@@ -195,11 +195,7 @@ def table(
 ) -> Table:
     """A row for each line and a column for each figure of a scene, or of all scenes together."""
     titles = [f"{scene} {titled(name, better)}".strip() for scene, name in columns]
-    rows = tuple(
-        (line.title, line.source or line.state, *map(line.cell, columns))
-        for line in lines
-        if line.origin != "published" or any(column in line.samples for column in columns)
-    )
+    rows = tuple((line.title, line.source or line.state, *map(line.cell, columns)) for line in lines)
     return Table(("variant", "source", *titles), rows, notes=tuple(notes))
 
 
