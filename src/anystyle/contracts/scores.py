@@ -37,7 +37,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     runtime = ("style_encoder", "correspondence")
 
     better: ClassVar[Mapping[str, str]]
-    """For each name that :meth:`compute` returns, ``higher`` or ``lower``."""
+    """For each name that :meth:`compute` returns, ``higher`` or ``lower``; an instance may have other names."""
 
     stand_ins: Mapping[str, str] = MappingProxyType({})
     """Set by an instance: for each figure that a stand-in network computes, the network's name."""

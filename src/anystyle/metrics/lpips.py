@@ -45,6 +45,7 @@ class LPIPS(NetworkMetric, RowMean):
         self.size = size
         self.rounded = variant == "reference"
         self.network = lpips.load(backbone, weights)
+        self.name_after(self.network)
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
