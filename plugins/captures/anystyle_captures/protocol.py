@@ -71,7 +71,7 @@ class Captures(Protocol):
         holdout: Every ``holdout``-th view is held out.
         take: At most this many photographs, evenly spaced.
         lpips_backbone: The network of LPIPS.
-        weights: The weights of LPIPS: ``auto`` takes a stand-in where the published ones are missing, and reports it.
+        weights: The weights of LPIPS: ``auto`` takes ST-LPIPS (``st_lpips``) or a stand-in where they are missing.
 
     Raises:
         UserError: There is no capture.

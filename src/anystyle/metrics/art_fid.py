@@ -28,7 +28,8 @@ class ArtFID(NetworkMetric):
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
             these are fewer than features.
-        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+        weights: ``auto`` falls back to ST-LPIPS (``st_lpips``) or a stand-in, with a warning, where the published ones
+            are missing.
 
     Example:
         >>> images = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))

@@ -57,7 +57,8 @@ class WarpConsistency(NetworkMetric):
             which saturate; RMSE over all pixels, so that a hole counts as 0. ``corrected`` has images in [0, 1], LPIPS
             in [-1, 1], searches the flow in the photographs, moves only pixels that the correspondence calls visible,
             and averages RMSE over the pixels where they land. ``warp_coverage_*`` is their share.
-        weights: LPIPS'; ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+        weights: LPIPS'; ``auto`` falls back to ST-LPIPS (``warp_st_lpips_*``) or a stand-in, with a warning, where the
+            published ones are missing.
 
     Example:
         >>> from anystyle.testing.toy.correspondence import ToyCorrespondence
