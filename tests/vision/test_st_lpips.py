@@ -29,7 +29,7 @@ def test_distances_are_those_of_the_published_package(backbone):
     for size, expected in golden("golden_st_lpips")[backbone].items():
         images = (smooth_image(seed, [1, 3, *map(int, size.split("x"))]) for seed in (61, 62))
         assert float(network(*images)) == pytest.approx(expected, rel=1e-5)
-    with pytest.raises(ValueError, match="images are too small for ST-LPIPS, which needs 21 pixels a side"):
+    with pytest.raises(ValueError, match="images are too small for ST-LPIPS, which needs 21 x 21 pixels"):
         network.describe(torch.zeros(1, 3, 17, 17))
 
 

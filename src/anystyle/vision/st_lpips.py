@@ -25,7 +25,7 @@ class Blur(nn.Module):
 
     def forward(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M C _ _"]:
         if min(features.shape[-2:]) < 3:
-            raise UserError("images are too small for ST-LPIPS, which needs 21 pixels a side; enlarge them")
+            raise UserError("images are too small for ST-LPIPS, which needs 21 x 21 pixels; enlarge them")
         padded = F.pad(features, (2, 2, 2, 2), mode="reflect")
         return F.conv2d(padded, self.filt, stride=2, groups=len(self.filt))
 
