@@ -1,7 +1,7 @@
 """Reconstructions of captures, judged on photographs that they never saw."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import isnan, nan
 from pathlib import Path
@@ -40,7 +40,7 @@ from anystyle_captures.photometric import quality_of
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from anystyle_captures.twins import groups, held_out
 
-BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher", "lpips": "lower"}
+BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher"}
 KINDS = ("fit", "feedforward")
 
 
@@ -71,7 +71,7 @@ class Captures(Protocol):
         holdout: Every ``holdout``-th view is held out.
         take: At most this many photographs, evenly spaced.
         lpips_backbone: The network of LPIPS.
-        weights: The weights of LPIPS: ``auto`` takes a stand-in where the published ones are missing, and reports it.
+        weights: The weights of LPIPS: ``auto`` takes ST-LPIPS (``st_lpips``) or a stand-in where they are missing.
 
     Raises:
         UserError: There is no capture.
@@ -98,6 +98,7 @@ class Captures(Protocol):
         self.fit = Fit(quality=quality, num_gaussians=num_gaussians, num_steps=num_steps, holdout=holdout)
         self.short_side, self.take = short_side, take
         self.lpips = lpips.load(lpips_backbone, weights)
+        self.better = {**BETTER, self.lpips.name: "lower"}
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -118,23 +119,25 @@ class Captures(Protocol):
                     write_json(temporary / "record.json", self._judge(path, temporary))
             what = f"record of a capture; delete {folder}"
             record: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
+            if self.lpips.name not in record["figures"][KINDS[0]]:
+                raise UserError(f"{folder} was judged by another network than {self.lpips.name}'s; delete it")
             records[name] = record
             for kind in KINDS:
                 figures = {figure: as_number(value) for figure, value in record["figures"][kind].items()}
                 files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
                 rows.append(Row(name, kind, figures, {what: file for what, file in files.items() if file.is_file()}))
         on_progress(Progress.count("captures", len(self.captures), len(self.captures)))
-        groups = {kind: _mean([row.figures for row in rows if row.style == kind]) for kind in KINDS}
+        groups = {kind: _mean(self.better, [row.figures for row in rows if row.style == kind]) for kind in KINDS}
         for row in rows:
             scene = groups.setdefault(f"{SCENE}{row.scene}", {})
             scene |= {f"{row.style}_{figure}": value for figure, value in row.figures.items()}
         return Evaluation(
             figures=groups["fit"],
             n=sum(int(record["heldout"]) for record in records.values()),
-            better=BETTER,
+            better=self.better,
             groups=groups,
             rows=tuple(rows),
-            stand_ins=stand_ins(["lpips"], self.lpips.source),
+            stand_ins=stand_ins([self.lpips.name], self.lpips.source),
             provenance={
                 "scenes": list(records),
                 "lpips_network": self.lpips.source.stand_in or self.lpips.source.network,
@@ -165,7 +168,7 @@ class Captures(Protocol):
                 result = reconstruct(views, points, chosen)
             except ValueError as error:
                 # A reconstruction that fails, for example with cameras that run the other way, is a result too.
-                figures[kind], costs[kind] = dict.fromkeys(BETTER, nan), {"failed": str(error)}
+                figures[kind], costs[kind] = dict.fromkeys(self.better, nan), {"failed": str(error)}
                 continue
             seconds = time.process_time() - start
             figures[kind] = self._quality(result.renders, photographs, measured)
@@ -240,7 +243,7 @@ class Captures(Protocol):
         if measured is not None:
             renders = torch.where(measured[:, None], renders, photographs)
         distance = self.lpips.compare(self.lpips.describe(renders), self.lpips.describe(photographs))
-        return quality | {"lpips": float(distance.mean())}
+        return quality | {self.lpips.name: float(distance.mean())}
 
     @torch.no_grad()
     def _restyle_seconds(self, scene: Scene) -> float:
@@ -267,7 +270,7 @@ def write_wall(folder: Path, num_views: int = 6, size: int = 64) -> None:
     write_transforms(folder / "transforms.json", images, [*poses], lens)
 
 
-def _mean(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def _mean(names: Iterable[str], figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Over captures with figures; NaN where there are none."""
     known = [row for row in figures if not isnan(row["psnr"])]
-    return {name: sum(row[name] for row in known) / len(known) if known else nan for name in BETTER}
+    return {name: sum(row[name] for row in known) / len(known) if known else nan for name in names}

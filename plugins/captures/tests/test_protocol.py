@@ -3,6 +3,8 @@
 import json
 from math import isnan
 
+import pytest
+
 import anystyle
 from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.types import no_progress
@@ -26,3 +28,6 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
     record = json.loads((tmp_path / "out" / "captures" / "wall" / "record.json").read_text())
     assert record["costs"]["feedforward"] == {"failed": "cameras run the other way"}
     assert [row.pictures.keys() for row in evaluation.rows] == [{"photograph", "result"}, {"photograph"}]
+    protocol.lpips.name = "st_lpips"
+    with pytest.raises(ValueError, match="wall was judged by another network than st_lpips's; delete it"):
+        protocol.run(tmp_path / "out", no_progress)

@@ -37,7 +37,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     runtime = ("style_encoder", "correspondence")
 
     better: ClassVar[Mapping[str, str]]
-    """For each name that :meth:`compute` returns, ``higher`` or ``lower``."""
+    """For each name that :meth:`compute` returns, ``higher`` or ``lower``; an instance may have other names."""
 
     timed: ClassVar[bool] = False
     """Whether its figures are times, which vary between runs on the same images."""

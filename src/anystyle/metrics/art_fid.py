@@ -28,7 +28,8 @@ class ArtFID(NetworkMetric):
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
             these are fewer than features.
-        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+        weights: ``auto`` falls back to ST-LPIPS (``st_lpips``) or a stand-in, with a warning, where the published ones
+            are missing.
 
     Example:
         >>> images = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
@@ -50,9 +51,10 @@ class ArtFID(NetworkMetric):
         self.size = FID_SIZE[variant]
         self.inception = embeddings.load_art_inception(weights)
         self.network = lpips.load("alex", weights)
+        self.name_after(self.network)
         self.declare(self.inception.source, self.network.source, figures=["art_fid"])
         self.declare(self.inception.source, figures=["fid", "fid_infinity"])
-        self.declare(self.network.source, figures=["lpips"])
+        self.declare(self.network.source, figures=[self.network.name])
         self.add_state("stylized", [], dist_reduce_fx="cat")
         self.add_state("style", [], dist_reduce_fx="cat")
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
@@ -78,7 +80,7 @@ class ArtFID(NetworkMetric):
             if len(stylized) == 1:
                 warnings.warn("art_fid: one image alone has no covariance; the figure is nan", stacklevel=2)
             nan = torch.full_like(distance, float("nan"))
-            return {"art_fid": nan, "fid": nan, "fid_infinity": nan, "lpips": distance}
+            return {"art_fid": nan, "fid": nan, "fid_infinity": nan, self.network.name: distance}
         num_images, dim = stylized.shape
         if style.unique(dim=0).shape[0] == 1:
             warnings.warn(
@@ -94,7 +96,8 @@ class ArtFID(NetworkMetric):
         smallest = 5000 if self.rounded else max(2, num_images // 2)
         fid_infinity = frechet_infinity(stylized, style, smallest=smallest)
         art_fid = (1 + distance) * (1 + fid_infinity)
-        return {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float(), "lpips": distance}
+        figures = {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float()}
+        return figures | {self.network.name: distance}
 
     def _vectors(self, images: Tensor) -> Tensor:
         return self.inception.vectors(images, size=self.size, rounded=self.rounded)

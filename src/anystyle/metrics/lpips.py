@@ -20,7 +20,8 @@ class LPIPS(NetworkMetric, RowMean):
         size: Pixels of the shorter side that images are resized to; none keeps theirs.
         variant: ``reference`` has images of 8 bits before and after they are resized, as the published script has
             them from files; ``corrected`` rounds nothing.
-        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+        weights: ``auto`` falls back to ST-LPIPS (``st_lpips``) or a stand-in, with a warning, where the published ones
+            are missing.
 
     Example:
         >>> images = torch.rand(1, 1, 3, 32, 32)
@@ -45,6 +46,7 @@ class LPIPS(NetworkMetric, RowMean):
         self.size = size
         self.rounded = variant == "reference"
         self.network = lpips.load(backbone, weights)
+        self.name_after(self.network)
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:

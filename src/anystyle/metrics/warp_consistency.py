@@ -57,7 +57,8 @@ class WarpConsistency(NetworkMetric):
             which saturate; RMSE over all pixels, so that a hole counts as 0. ``corrected`` has images in [0, 1], LPIPS
             in [-1, 1], searches the flow in the photographs, moves only pixels that the correspondence calls visible,
             and averages RMSE over the pixels where they land. ``warp_coverage_*`` is their share.
-        weights: LPIPS'; ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
+        weights: LPIPS'; ``auto`` falls back to ST-LPIPS (``warp_st_lpips_*``) or a stand-in, with a warning, where the
+            published ones are missing.
 
     Example:
         >>> from anystyle.testing.toy.correspondence import ToyCorrespondence
@@ -90,7 +91,9 @@ class WarpConsistency(NetworkMetric):
         self.flow_from = flow_from or ("stylized" if self.reference else "content")
         self.network = lpips.load("vgg", weights)
         self.declare(*correspondence.sources)
-        self.declare(*correspondence.sources, self.network.source, figures=["warp_lpips_short", "warp_lpips_long"])
+        self.name_after(self.network)
+        distances = [f"warp_{self.network.name}_{name}" for name in RANGES]
+        self.declare(*correspondence.sources, self.network.source, figures=distances)
         # The photographs' flows of each range, for the next style of the same scene.
         self._content_flows: dict[int, tuple[list[str], Flows]] = {}
         self.add_state("totals", torch.zeros(2, 3, dtype=torch.float64), dist_reduce_fx="sum")
@@ -116,7 +119,7 @@ class WarpConsistency(NetworkMetric):
                     stacklevel=2,
                 )
             means = (self.totals[index] / self.rows[index]).float()  # nan where there is no row
-            for kind, value in zip(("rmse", "lpips", "coverage"), means, strict=True):
+            for kind, value in zip(("rmse", self.network.name, "coverage"), means, strict=True):
                 figures[f"warp_{kind}_{name}"] = value
         return {name: figures[name] for name in self.better}
 

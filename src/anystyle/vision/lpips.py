@@ -1,6 +1,13 @@
-"""LPIPS (Zhang et al., CVPR 2018), version 0.1: a distance of images by the features of a network."""
+"""LPIPS (Zhang et al., CVPR 2018), version 0.1: a distance of images by the features of a network.
 
-from collections.abc import Sequence
+Where its published weights are missing, ST-LPIPS replaces it if the package ``stlpips-pytorch`` is installed, whose
+files are read and whose code is not; else the bundled texture network does.
+"""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import torch
@@ -9,10 +16,12 @@ from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.types import Source
-from anystyle.vision import networks, preprocess, weights
+from anystyle.vision import networks, preprocess, st_lpips, weights
 from anystyle.vision.feature_cache import CACHE
-from anystyle.vision.features import FeatureNetwork, Frozen
-from anystyle.vision.weights import Weights, bundled, locate, published
+from anystyle.vision.features import FeatureNetwork, Frozen, load_frozen
+from anystyle.vision.weights import MissingWeights, Weights, bundled, locate, published
+
+log = logging.getLogger(__name__)
 
 LpipsBackbone = Literal["alex", "vgg"]
 
@@ -22,12 +31,16 @@ NETWORKS = {"alex": ("alexnet", ("relu1", "relu2", "relu3", "relu4", "relu5")), 
 STAND_IN_LAYERS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
 STAND_IN_SIDE = 128
 """Longest side in pixels that stand-ins see: they must be quick, not sharp."""
+ST_NETWORKS = {"alex": st_lpips.ShiftTolerantAlexNet, "vgg": st_lpips.ShiftTolerantVGG16}
+ST_SIDE = 96
+"""Longest side in pixels that ST-LPIPS sees, to be as quick; it learnt from patches of 64 x 64."""
 
 
 class Lpips(Frozen):
     """Weighted squared differences of features of unit length, averaged over pixels and added over layers.
 
-    ``heads`` are the weights, one for each channel of each layer; images are shrunk to the side ``longest``.
+    ``heads`` are the weights, one for each channel of each layer; images are shrunk to the side ``longest``; figures
+    call the distance by its ``name``.
     """
 
     def __init__(
@@ -37,9 +50,11 @@ class Lpips(Frozen):
         heads: Sequence[Float[Tensor, " _"]],
         source: Source,
         longest: int | None = None,
+        name: str = "lpips",
     ) -> None:
         super().__init__()
-        self.network, self.layers, self.source, self.longest = network, tuple(layers), source, longest
+        self.network, self.layers, self.source = network, tuple(layers), source
+        self.longest, self.name = longest, name
         for index, head in enumerate(heads):
             if bool((head < 0).any()):
                 raise UserError(f"the weights of LPIPS' layer {index} have a negative value; none may")
@@ -87,19 +102,40 @@ class Lpips(Frozen):
 
 
 def load(backbone: LpipsBackbone, choice: Weights = "auto") -> Lpips:
-    """LPIPS with published weights, or with a stand-in: features of the texture network, all with equal weights."""
+    """LPIPS with published weights, or what replaces it where ``auto`` misses these: ST-LPIPS, else a stand-in.
+
+    The stand-in compares features of the texture network, all with equal weights.
+    """
     name, layers = NETWORKS[backbone]
     file = locate(name, choice)
+    if file is None and choice == "auto":
+        try:
+            return _shift_tolerant(backbone, weights.find(f"st_lpips_{backbone}"))
+        except MissingWeights as error:
+            log.warning("a distance that people's judgements trained would replace %s: %s", name, error)
     if file is None:
         network = networks.load("texture")
         maps = network(torch.zeros(1, 3, 32, 32), STAND_IN_LAYERS)
         heads = [torch.full((features.shape[1],), 0.25) for features in maps]
         return Lpips(network, STAND_IN_LAYERS, heads, bundled(name, "texture_distance"), STAND_IN_SIDE)
-    network = networks.load(name, file)
+    network, heads_file = networks.load(name, file), weights.find(f"lpips_{backbone}")
+    heads = _heads(network, layers, weights.read(heads_file), heads_file)
+    return Lpips(network, layers, heads, published(name, file))
+
+
+def _shift_tolerant(backbone: LpipsBackbone, file: Path) -> Lpips:
+    (name, layers), state = NETWORKS[backbone], weights.read(file)
+    network = load_frozen(ST_NETWORKS[backbone](), st_lpips.trunk(state), file)
+    heads = _heads(network, layers, {key: state[key] for key in state if key.startswith("lin")}, file)
+    source = replace(published(f"st_lpips_{backbone}", file), network=name, stand_in="st_lpips")
+    return Lpips(network, layers, heads, source, ST_SIDE, "st_lpips")
+
+
+def _heads(
+    network: FeatureNetwork, layers: Sequence[str], state: Mapping[str, Tensor], file: Path
+) -> list[Float[Tensor, " _"]]:
     channels = [features.shape[1] for features in network(torch.zeros(1, 3, 64, 64), layers)]
-    heads_file = weights.find(f"lpips_{backbone}")
-    state = weights.read(heads_file)
     heads = [state.get(f"lin{index}.model.1.weight", torch.empty(0)).flatten().float() for index in range(5)]
     if len(state) != 5 or [len(head) for head in heads] != channels:
-        raise UserError(f"{heads_file} does not hold the heads of LPIPS for {channels} channels; get it again")
-    return Lpips(network, layers, heads, published(name, file))
+        raise UserError(f"{file} does not hold the heads of LPIPS for {channels} channels; get it again")
+    return heads

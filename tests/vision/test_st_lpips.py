@@ -1,0 +1,80 @@
+"""ST-LPIPS, which replaces LPIPS where its published weights are missing: the same distances, under its own name."""
+
+import importlib.util
+
+import pytest
+import torch
+
+from anystyle.metrics.art_fid import ArtFID
+from anystyle.metrics.lpips import LPIPSGray
+from anystyle.metrics.warp_consistency import WarpConsistency
+from anystyle.testing.inputs import comparison
+from anystyle.testing.oracle import smooth_image
+from anystyle.testing.toy.correspondence import ToyCorrespondence
+from anystyle.vision import lpips, weights
+from tests.benchmarks.distances import distances, photographs
+from tests.support.oracle import golden
+
+BACKBONES = ("alex", "vgg")
+installed = pytest.mark.skipif(
+    importlib.util.find_spec("stlpips_pytorch") is None, reason="the package stlpips-pytorch is not installed"
+)
+
+
+@installed
+@pytest.mark.parametrize("backbone", BACKBONES)
+@torch.no_grad()
+def test_distances_are_those_of_the_published_package(backbone):
+    network = lpips.load(backbone)
+    for size, expected in golden("golden_st_lpips")[backbone].items():
+        images = (smooth_image(seed, [1, 3, *map(int, size.split("x"))]) for seed in (61, 62))
+        assert float(network(*images)) == pytest.approx(expected, rel=1e-5)
+    with pytest.raises(ValueError, match="images are too small for ST-LPIPS, which needs 21 x 21 pixels"):
+        network.describe(torch.zeros(1, 3, 17, 17))
+
+
+@installed
+@pytest.mark.parametrize("backbone", BACKBONES)
+def test_files_have_the_stated_checksum_and_figures_name_them(backbone):
+    name = f"st_lpips_{backbone}"
+    assert weights.verified(name, weights.find(name))
+    source = lpips.load(backbone).source
+    assert source.stand_in == "st_lpips" and source.file == weights.row(name).file
+    # Asked for by name, a stand-in is the bundled one, and published weights are LPIPS'.
+    assert lpips.load(backbone, "stand_in").source.stand_in == "texture_distance"
+    with pytest.raises(FileNotFoundError, match=f"weights '{lpips.NETWORKS[backbone][0]}' are missing"):
+        lpips.load(backbone, "published")
+
+
+@installed
+def test_distortions_are_ordered_as_people_see_them():
+    captures = photographs(most=1)[:2]
+    found = distances(captures, lpips.load("alex"))
+    assert found["moved by a pixel"] < found["JPEG 60"] < found["JPEG 8"] < found["another photograph"]
+    assert 5 * found["moved by a pixel"] < found["blurred, σ 1"] < found["blurred, σ 3"] < found["another photograph"]
+    texture = distances(captures, lpips.load("alex", "stand_in"))
+    assert (
+        texture["moved by a pixel"] > texture["JPEG 60"] and 5 * texture["moved by a pixel"] > texture["blurred, σ 1"]
+    )
+
+
+@installed
+def test_figures_bear_its_name():
+    metrics = [ArtFID(), LPIPSGray(size=None), WarpConsistency(correspondence=ToyCorrespondence())]
+    names = [["st_lpips"], ["st_lpips_gray"], ["warp_st_lpips_short", "warp_st_lpips_long"]]
+    for metric, own in zip(metrics, names, strict=True):
+        metric.update(comparison(2, 8 if len(own) == 2 else 2))
+        assert [name for name in metric.compute() if "lpips" in name] == own
+        assert metric.compute().keys() == metric.better.keys()
+        assert all("st_lpips" in metric.stand_ins[name] for name in own)
+    assert metrics[0].stand_ins["art_fid"] == "texture_moments, st_lpips"
+    assert ArtFID(weights="stand_in").better == ArtFID.better
+
+
+@pytest.mark.parametrize("backbone", BACKBONES)
+def test_without_the_package_the_bundled_stand_in_is_taken(backbone, monkeypatch, caplog):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, package=None: None)
+    network = lpips.load(backbone)
+    assert network.name == "lpips" and network.source.stand_in == "texture_distance"
+    assert "pip install --no-deps stlpips-pytorch==0.0.2" in caplog.text
+    assert LPIPSGray().better == {"lpips_gray": "lower"}
