@@ -33,7 +33,7 @@ def test_differences_are_paired_by_cell_and_adjusted_over_figures(figures):
     assert [color.low, color.high] == pytest.approx(crossed.interval(0.95))
     expected = holm([np.nan if one.pvalue is None else one.pvalue for one in found])
     assert [np.nan if one.holm is None else one.holm for one in found] == pytest.approx(expected, nan_ok=True)
-    warp = by_name["image", "warp_lpips_short"]
+    warp = by_name["image", "warp_rmse_short"]
     assert (warp.better, warp.n) == ("unstyled", 6)  # one scene has no geometry
     assert by_name["image", "kid"].n == 3
     assert all(one.better == "" for one in found if one.holm is None or one.holm > 0.05)
