@@ -115,7 +115,7 @@ NOT_RUN = {
     r"anystyle profile model=anystyle_head": "5 GiB of weights; benchmark/tests profile a small model without any",
     r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
     r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
-    r"python -m tests\.benchmarks\.published CHECKOUT ": "minutes, and a checkout of the published code",
+    r"python -m tests\.benchmarks\.published head CHECKOUT": "minutes, and a checkout of the published code",
     r"python -m tests\.benchmarks\.": "minutes, and pictures that do not travel with the project",
     r"ssh ": "needs another machine",
     r"anystyle stylize outputs/poster/": "a run of nerfstudio; plugins/formats/tests makes one",
