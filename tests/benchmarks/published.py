@@ -78,9 +78,9 @@ def published(case: Case) -> dict[str, Step]:
     real = torch.bfloat16
     encoder, run_once = network.build(case.checkout)
     replaced, torch.bfloat16 = torch.bfloat16, real
-    state = {network.prefix + name: tensor for name, tensor in encoder.state_dict(keep_vars=True).items()}
-    fill({name: tensor.data for name, tensor in state.items()}, network)
-    torch.save({"state_dict": {name: tensor.data for name, tensor in state.items()}}, case.file)
+    state = {network.prefix + name: tensor for name, tensor in encoder.state_dict().items()}
+    fill(state, network)
+    torch.save({"state_dict": state}, case.file)
     del state
     loaded = torch.load(case.file, mmap=True)["state_dict"]
     state = {name.removeprefix(network.prefix): tensor for name, tensor in loaded.items()}

@@ -1,7 +1,7 @@
 """The published networks that are measured beside ours: how each is built from a checkout, and how ours loads its file.
 
-Networks are built on the meta device's shapes by their own classes, from their own configurations. VGGT's weights are
-not downloaded, and what is cast to bf16 stays fp32: ``torch.bfloat16`` is replaced before they are imported.
+Networks are built by their own classes from their own configurations. VGGT's weights are not downloaded, and what is
+cast to bf16 stays fp32: ``torch.bfloat16`` is replaced before they are imported.
 """
 
 import importlib
@@ -69,7 +69,7 @@ def views(images: Tensor) -> Views:
 
 
 def _options(*files: Path) -> dict[str, Any]:
-    """What encoders are configured with: the files' settings, later ones first."""
+    """What encoders are configured with; later files go before earlier ones."""
     found: dict[str, Any] = {}
     for file in files:
         settings = yaml.safe_load(file.read_text())

@@ -76,6 +76,38 @@ def test_a_cell_is_drawn_at_random_and_one_by_name(evaluated, capsys):
         report.main(["verify", str(evaluated), "--row", "third"])
 
 
+def test_nothing_is_taken_for_granted(evaluated, capsys):
+    """An older record without checksums, a folder that holds earlier figures, and runs that were never judged."""
+    Path("kept").mkdir()
+    with pytest.raises(UserError, match="kept exists; figures are made again in a folder that does not"):
+        report.main(["verify", str(evaluated), "--all", "--out", "kept"])
+    edit(evaluated / "first", lambda stored: stored["provenance"].pop("inputs"))
+    with pytest.raises(UserError, match="holds no evaluation with its configuration and checksums of inputs"):
+        report.main(["verify", str(evaluated), "--row", "first", "--cheap"])
+    logged = Path("trained/0/.hydra")
+    logged.mkdir(parents=True)
+    (logged / "overrides.yaml").write_text("[seed=0]")
+    (logged.parent / "metrics.json").write_text('{"train/loss": 0.5}')
+    with pytest.raises(UserError, match="there are no evaluations, only trainings"):
+        report.main(["verify", "trained", "--all"])
+    report.main(["verify", str(evaluated / "second"), "trained", "--all", "--cheap"])
+    assert "without an evaluation, and not verified: trained/0" in capsys.readouterr().err
+
+
+def test_what_an_evaluation_did_not_rest_on_before_is_told():
+    assert verify.changes({"code": "a"}, {"code": "a", "weights metric x (f)": "1"}) == (
+        "weights metric x (f) missing -> 1",
+    )
+
+
+def test_results_inside_of_an_input_are_no_part_of_it(evaluated):
+    before = provenance.digest(Path("in/stylized"))
+    shutil.copytree(evaluated / "first", "in/stylized/evaluation")
+    assert provenance.digest(Path("in/stylized")) == before
+    Path("in/stylized/one/more.png").write_bytes(b"")
+    assert provenance.digest(Path("in/stylized")) != before
+
+
 def test_code_with_uncommitted_changes_is_never_the_same():
     assert verify.changes({"code": "abc+"}, {"code": "abc+"}) == ("code (uncommitted changes)",)
     assert verify.changes({"code": "abc"}, {"code": "abc"}) == ()

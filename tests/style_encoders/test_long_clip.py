@@ -170,3 +170,9 @@ def test_the_neutral_prompt_is_embedded_once(tmp_path: Path) -> None:
         encoder.network.text_projection.mul_(torch.linspace(-1, 1, encoder.dim))
     assert not torch.allclose(neutral_embedding(encoder), second)
     assert len(calls) > count
+
+
+def test_an_encoder_made_in_inference_mode_has_a_neutral_embedding(tmp_path: Path) -> None:
+    with torch.inference_mode():
+        encoder = example(tmp_path)
+        assert torch.equal(neutral_embedding(encoder), neutral_embedding(encoder))

@@ -9,6 +9,7 @@ from pathlib import Path
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.progress import progress_lines
 from anystyle.cli.run import FAILED, run, words_of
+from anystyle.errors import UserError
 from anystyle.evaluation import run_table, runs, verify
 
 
@@ -33,18 +34,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         chosen = [each for line in lines for each in line.runs]
     else:
         line, figure = verify.cell_of(lines, arguments.row)
-        print(f"{figure} of {line.title}: {line.source}", file=sys.stderr)
+        print(f"row {line.title}, figure {figure}", file=sys.stderr)
         chosen = list(line.runs)
     folders = list(dict.fromkeys(each.evaluation for each in chosen if each.evaluation))
+    if not folders:
+        raise UserError("there are no evaluations, only trainings; judge them with anystyle evaluate --run")
+    without = list(dict.fromkeys(str(each.folder) for each in chosen if not each.evaluation))
+    if without:
+        print(f"without an evaluation, and not verified: {', '.join(without)}", file=sys.stderr)
+    if arguments.out is not None and arguments.out.exists():
+        raise UserError(f"{arguments.out} exists; figures are made again in a folder that does not")
     out = arguments.out or Path(tempfile.mkdtemp(prefix="anystyle-verify-"))
     checked: list[verify.Verification] = []
     try:
         for number, folder in enumerate(folders):
-            made = (
-                verify.cheaply(folder) if arguments.cheap else verify.again(folder, out / str(number), progress_lines())
-            )
-            checked.append(made)
-            print(made, flush=True)
+            if arguments.cheap:
+                checked.append(verify.cheaply(folder))
+            else:
+                checked.append(verify.again(folder, out / str(number), progress_lines()))
+            print(checked[-1], flush=True)
     finally:
         if arguments.out is None:
             shutil.rmtree(out)

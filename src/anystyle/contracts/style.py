@@ -158,7 +158,9 @@ _neutral: WeakKeyDictionary[StyleEncoder, tuple[list[object], Tensor]] = WeakKey
 def neutral_embedding(encoder: StyleEncoder) -> Float[Tensor, "1 D"]:
     """The embedding of the encoder's neutral prompt, where style directions start; computed once for its weights."""
     weights = [*encoder.parameters(), *encoder.buffers()]
-    state: list[object] = [(each.data_ptr(), each._version, each.device, each.dtype) for each in weights]
+    # Tensors made in inference mode have no count of changes: they cannot change.
+    state: list[object] = [encoder.neutral]
+    state += [(w.data_ptr(), 0 if w.is_inference() else w._version, w.device, w.dtype) for w in weights]
     kept = _neutral.get(encoder)
     if kept is None or kept[0] != state:
         kept = _neutral[encoder] = state, encoder.embed_texts([encoder.neutral])

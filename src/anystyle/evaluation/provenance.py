@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from anystyle.io.checkpoint import sha256
-from anystyle.io.run_folder import flat
+from anystyle.io.run_folder import RECORD, flat
 from anystyle.paths import expanded
 from anystyle.registry.catalog import catalog
 
-INPUTS = ("protocol", "scenes", "styles", "method", "correspondence", "poses")
+INPUTS = ("protocol", "scenes", "styles", "method", "correspondence")
 """Parts of a configuration whose files and folders are inputs."""
 MOST_BYTES = 4 * 2**30
 """Larger folders are known by the names and sizes of their files alone."""
@@ -33,10 +33,18 @@ def foundations(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def digest(path: Path) -> str:
-    """The SHA-256 of a file, or of the listing of a folder's files; ``sizes`` where only their sizes were read."""
+    """The SHA-256 of a file, or of the listing of a folder's files; ``sizes`` where only their sizes were read.
+
+    Evaluations and trainings that lie in the folder are left out.
+    """
     if path.is_file():
         return sha256(path)
-    files = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+    results = {record.parent for record in path.rglob(RECORD)} - {path}
+    files = sorted(
+        file
+        for file in path.rglob("*")
+        if file.is_file() and not file.name.startswith(".") and results.isdisjoint(file.parents)
+    )
     whole = sum(file.stat().st_size for file in files) <= MOST_BYTES
     lines = (
         f"{sha256(file) if whole else file.stat().st_size}  {file.relative_to(path).as_posix()}\n" for file in files

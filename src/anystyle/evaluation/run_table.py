@@ -79,7 +79,10 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
     common = set.intersection(*(set(run.words) for run in runs)) if len(runs) > 1 else set()
     variants: dict[str, list[Run]] = {}
     for run in runs:
-        variants.setdefault(_title(run, common), []).append(run)
+        title = _title(run, common)
+        if any(_seed(run) == _seed(other) for other in variants.get(title, ())):
+            title += f" ({run.folder.name})"  # the same command twice, not two seeds
+        variants.setdefault(title, []).append(run)
     lines: list[Line] = []
     better: dict[str, str] = {}
     for title, members in variants.items():
@@ -105,6 +108,10 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
             own = {key: values for key, values in samples.items() if (key[1] in stand_ins) is (origin == "stand-in")}
             lines += [Line(title, origin, source, own, runs=finished)] if own else []
     return lines, better
+
+
+def _seed(run: Run) -> list[str]:
+    return [word for word in run.words if word.partition("=")[0].lstrip("+") == "seed"]
 
 
 def _title(run: Run, common: set[str]) -> str:

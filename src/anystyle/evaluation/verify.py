@@ -57,7 +57,7 @@ class Verification:
         changed = f"changed: {', '.join(self.changed)}" if self.changed else "nothing it rests on has changed"
         if self.failure:
             return f"{self.folder}: cannot be made again: {self.failure}; {changed}"
-        if not self.figures:
+        if not self.figures:  # nothing was made, or times alone
             return f"{self.folder}: {changed}"
         if self.worst is None:
             return f"{self.folder}: all {self.figures} figures are equal; {changed}"
@@ -82,15 +82,10 @@ def rests_on(provenance: Mapping[str, Any]) -> dict[str, str]:
 
 def changes(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
     """What is not what it was, in words; code with uncommitted changes is never known to be the same."""
-    words = [
-        f"{name} {_short(old)} -> {_short(now.get(name, ''))}" for name, old in before.items() if now.get(name) != old
-    ]
-    dirty = (
-        "code (uncommitted changes)"
-        if before.get("code", "").endswith("+") == now.get("code", "").endswith("+")
-        else ""
-    )
-    return tuple([*words, dirty] if dirty and before.get("code", "").endswith("+") else words)
+    pairs = {name: (before.get(name, ""), now.get(name, "")) for name in {**before, **now}}
+    words = [f"{name} {_short(old)} -> {_short(new)}" for name, (old, new) in pairs.items() if old != new]
+    unknown = pairs["code"][0] == pairs["code"][1] and pairs["code"][0].endswith("+")
+    return (*words, "code (uncommitted changes)") if unknown else tuple(words)
 
 
 def _short(value: str) -> str:
@@ -139,10 +134,11 @@ def again(folder: Path, out: Path, on_progress: OnProgress) -> Verification:
         except (UserError, OSError) as error:
             return Verification(folder, failure=one_line(error), changed=cheaply(folder).changed)
     before, now = _figures(stored), _figures(record.read(out) or made)
-    worst = max(before, key=lambda name: _difference(before[name], now.get(name, math.nan)))
-    pair = before[worst], now.get(worst, math.nan)
-    changed = changes(rests_on(known), rests_on(made.provenance))
-    return Verification(folder, len(before), (worst, *pair) if _difference(*pair) else None, changed)
+    differing = [(name, old, now.get(name, math.nan)) for name, old in before.items()]
+    worst = max(
+        (row for row in differing if _difference(*row[1:])), key=lambda row: _difference(*row[1:]), default=None
+    )
+    return Verification(folder, len(before), worst, changes(rests_on(known), rests_on(made.provenance)))
 
 
 def _difference(before: float, now: float) -> float:
@@ -153,8 +149,8 @@ def _difference(before: float, now: float) -> float:
 
 def _stored(folder: Path) -> Evaluation:
     stored = record.read(folder)
-    if stored is None or not isinstance(stored.provenance.get("config"), Mapping):
-        raise UserError(f"{folder} holds no evaluation with its configuration; evaluate again")
+    if stored is None or not {"config", "inputs", "timed"} <= stored.provenance.keys():
+        raise UserError(f"{folder} holds no evaluation with its configuration and checksums of inputs; evaluate again")
     return stored
 
 
@@ -178,7 +174,7 @@ def _at(provenance: Mapping[str, Any]) -> Iterator[None]:
         yield
 
 
-def cell_of(lines: Sequence[Line], row: str | None = None, seed: int | None = None) -> tuple[Line, str]:
+def cell_of(lines: Sequence[Line], row: str | None = None) -> tuple[Line, str]:
     """A row of a table with figures, at random unless it is named, and one of its figures at random."""
     known = [line for line in lines if any(run.evaluation for run in line.runs) and line.samples]
     chosen = [line for line in known if row in (None, line.title)]
@@ -187,7 +183,6 @@ def cell_of(lines: Sequence[Line], row: str | None = None, seed: int | None = No
         raise UserError(
             f"no row of an evaluation is named {row!r}; there are {titles}" if row else "there are no evaluations"
         )
-    draw = random.Random(seed)
-    line = draw.choice(chosen)
-    scene, name = draw.choice(sorted(line.samples))
+    line = random.choice(chosen)
+    scene, name = random.choice(sorted(line.samples))
     return line, name if scene == ALL else f"{name} of {scene}"

@@ -112,7 +112,7 @@ def load(backbone: LpipsBackbone, choice: Weights = "auto") -> Lpips:
         try:
             return _shift_tolerant(backbone, weights.find(f"st_lpips_{backbone}"))
         except MissingWeights as error:
-            log.warning("a distance that people's judgements trained would replace %s: %s", name, error)
+            log.warning("ST-LPIPS would replace LPIPS better than the stand-in: %s", error)
     if file is None:
         network = networks.load("texture")
         maps = network(torch.zeros(1, 3, 32, 32), STAND_IN_LAYERS)

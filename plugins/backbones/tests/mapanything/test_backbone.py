@@ -3,21 +3,13 @@
 import pytest
 import torch
 
-from anystyle.branch import COLOR, StyleBranch, sites_of
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.injectors.zero_conv import ZeroConv
-from anystyle.placements.aggregator import AggregatorPlacement
-from anystyle.placements.color import Color
-from anystyle.placements.full import Full
-from anystyle.placements.head import Head
 from anystyle.testing.oracle import hashed
-from anystyle.types import Scene, StyleEmbedding
+from anystyle.types import Scene
 from anystyle_backbones.mapanything import MapAnything, heads
 from anystyle_backbones.pointmaps import lens_of, renderable
 from tests.support import mapanything_reference as reference
-from tests.support.backbone_cases import network, same, views
-
-PLACEMENTS = {"head": Head(), "aggregator": AggregatorPlacement(), "full": Full(), "color": Color()}
+from tests.support.backbone_cases import PLACEMENTS, check_placement, network, same, views
 
 
 @pytest.fixture(scope="module")
@@ -45,26 +37,7 @@ def test_the_published_sites() -> None:
 
 @pytest.mark.parametrize("name", PLACEMENTS)
 def test_style_enters_at_every_placement(backbone: MapAnything, scene: Scene, name: str) -> None:
-    """At initialisation it changes nothing, bit for bit; then it changes colours, and no point."""
-    vector = hashed(5, (1, 512), -1, 1)
-    sites = PLACEMENTS[name].select(sites_of(backbone))
-    branch = StyleBranch(
-        backbone, sites=sites, make_injector=lambda site: ZeroConv(dim=site.dim, style_dim=512, hidden=8)
-    )
-    with torch.no_grad():
-        styled = branch(scene, StyleEmbedding(vector, vector))
-        for attribute in ("opacity", "scale", "rotation", "color", "confidence"):
-            assert torch.equal(getattr(styled, attribute), getattr(scene.attributes, attribute)), attribute
-        for index, parameter in enumerate(branch.injectors.parameters()):
-            parameter.copy_(hashed(index, parameter.shape, -0.3, 0.3))
-        changed = branch(scene, StyleEmbedding(vector, vector))
-        gaussians = [
-            backbone.adapter(scene.attributes.with_(each, ("color",)), scene.geometry, scene.clusters)
-            for each in (styled, changed)
-        ]
-    assert (name == "color") == ({site.name for site in sites} == {COLOR})
-    assert torch.equal(gaussians[0].means, gaussians[1].means)
-    assert (gaussians[0].harmonics - gaussians[1].harmonics).abs().max() > 1e-4
+    check_placement(backbone, scene, name, least=1e-4)
 
 
 def test_untrained_gaussians_are_the_photographs_at_the_published_points(backbone: MapAnything, scene: Scene) -> None:

@@ -5,20 +5,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from anystyle.branch import COLOR, StyleBranch, sites_of
-from anystyle.injectors.zero_conv import ZeroConv
-from anystyle.placements.aggregator import AggregatorPlacement
-from anystyle.placements.color import Color
-from anystyle.placements.full import Full
-from anystyle.placements.head import Head
-from anystyle.testing.oracle import hashed
-from anystyle.types import StyleEmbedding
 from anystyle_backbones.worldmirror import WorldMirror
 from tests.support import worldmirror_reference as reference
-from tests.support.backbone_cases import network, same, views
+from tests.support.backbone_cases import PLACEMENTS, check_placement, network, same, views
 
 EXAMPLE = WorldMirror.example(Path())
-PLACEMENTS = {"head": Head(), "aggregator": AggregatorPlacement(), "full": Full(), "color": Color()}
 
 
 @pytest.fixture(scope="module")
@@ -40,26 +31,7 @@ def test_the_published_sites_are_those_of_anysplat() -> None:
 
 @pytest.mark.parametrize("name", PLACEMENTS)
 def test_style_enters_at_every_placement(backbone: WorldMirror, name: str) -> None:
-    """At initialisation it changes nothing, bit for bit; then it changes colours, and no point."""
-    scene, vector = backbone.encode(views(2)), hashed(5, (1, 512), -1, 1)
-    sites = PLACEMENTS[name].select(sites_of(backbone))
-    branch = StyleBranch(
-        backbone, sites=sites, make_injector=lambda site: ZeroConv(dim=site.dim, style_dim=512, hidden=8)
-    )
-    with torch.no_grad():
-        styled = branch(scene, StyleEmbedding(vector, vector))
-        for attribute in ("opacity", "scale", "rotation", "color", "confidence"):
-            assert torch.equal(getattr(styled, attribute), getattr(scene.attributes, attribute)), attribute
-        for index, parameter in enumerate(branch.injectors.parameters()):
-            parameter.copy_(hashed(index, parameter.shape, -0.3, 0.3))
-        changed = branch(scene, StyleEmbedding(vector, vector))
-        gaussians = [
-            backbone.adapter(scene.attributes.with_(each, ("color",)), scene.geometry, scene.clusters)
-            for each in (styled, changed)
-        ]
-    assert (name == "color") == ({site.name for site in sites} == {COLOR})
-    assert torch.equal(gaussians[0].means, gaussians[1].means)
-    assert (gaussians[0].harmonics - gaussians[1].harmonics).abs().max() > 0.01
+    check_placement(backbone, backbone.encode(views(2)), name, least=0.01)
 
 
 def test_pixels_alone_have_an_opacity_of_their_own(backbone: WorldMirror) -> None:
