@@ -69,7 +69,7 @@ def test_another_figure_is_told_with_what_has_changed(evaluated, capsys):
     assert "changed: input protocol.stylized" in lines[0] and "-> missing" in lines[0]
 
 
-def test_a_cell_is_drawn_at_random_and_one_by_name(evaluated, capsys):
+def test_a_row_is_drawn_at_random_or_named(evaluated, capsys):
     status, lines = verified(capsys, evaluated, "--cheap")
     assert status == 0 and lines[-1] == "1 of 1 evaluations hold"
     with pytest.raises(UserError, match="there are first, second"):

@@ -17,28 +17,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``anystyle report verify``; returns the exit status."""
     words = new_parser(
         "report verify",
-        "Make the evaluations behind one cell of a table again, in a fresh folder, and compare every figure: equal, "
+        "Make the evaluations behind a row of a table again, in a fresh folder, and compare every figure: equal, "
         "equal within rounding, or not, and then what has changed (code, library, plugin, weights, input). "
         "A training is not repeated: its weights are judged again. Exit status 2 if a figure is another one.",
     )
     words.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="as for anystyle report")
     which = words.add_mutually_exclusive_group()
-    which.add_argument("--row", metavar="ROW", help="a cell of this row (default: any cell, at random)")
+    which.add_argument("--row", metavar="ROW", help="this row (default: one at random)")
     which.add_argument("--all", action="store_true", help="every evaluation")
     words.add_argument("--cheap", action="store_true", help="compare versions and hashes alone; compute nothing")
     words.add_argument("--out", type=Path, help="keep the evaluations that are made here")
     arguments = parse(words, words_of(argv))
     items = [item for folder in arguments.folders for item in runs.find(folder)]
     lines, _ = run_table.lines_of(items)
-    if arguments.all:
-        chosen = [each for line in lines for each in line.runs]
-    else:
-        line, figure = verify.cell_of(lines, arguments.row)
-        print(f"row {line.title}, figure {figure}", file=sys.stderr)
-        chosen = list(line.runs)
-    folders = list(dict.fromkeys(each.evaluation for each in chosen if each.evaluation))
-    if not folders:
+    if not any(item.evaluation for item in items):
         raise UserError("there are no evaluations, only trainings; judge them with anystyle evaluate --run")
+    chosen = items if arguments.all else verify.row_of(lines, arguments.row).runs
+    folders = list(dict.fromkeys(each.evaluation for each in chosen if each.evaluation))
     without = list(dict.fromkeys(str(each.folder) for each in chosen if not each.evaluation))
     if without:
         print(f"without an evaluation, and not verified: {', '.join(without)}", file=sys.stderr)

@@ -14,7 +14,7 @@ from anystyle.contracts.protocol import Evaluation
 from anystyle.errors import UserError, one_line
 from anystyle.evaluation import record
 from anystyle.evaluation.provenance import foundations
-from anystyle.evaluation.run_table import ALL, Line
+from anystyle.evaluation.run_table import Line
 from anystyle.io.checkpoint import sha256
 from anystyle.io.record import commit, versions
 from anystyle.registry.untrusted import check_saved
@@ -174,15 +174,11 @@ def _at(provenance: Mapping[str, Any]) -> Iterator[None]:
         yield
 
 
-def cell_of(lines: Sequence[Line], row: str | None = None) -> tuple[Line, str]:
-    """A row of a table with figures, at random unless it is named, and one of its figures at random."""
-    known = [line for line in lines if any(run.evaluation for run in line.runs) and line.samples]
-    chosen = [line for line in known if row in (None, line.title)]
+def row_of(lines: Sequence[Line], title: str | None = None) -> Line:
+    """A row of evaluations, at random unless it is named."""
+    known = [line for line in lines if any(run.evaluation for run in line.runs)]
+    chosen = [line for line in known if title in (None, line.title)]
     if not chosen:
-        titles = ", ".join(dict.fromkeys(line.title for line in known)) or "none"
-        raise UserError(
-            f"no row of an evaluation is named {row!r}; there are {titles}" if row else "there are no evaluations"
-        )
-    line = random.choice(chosen)
-    scene, name = random.choice(sorted(line.samples))
-    return line, name if scene == ALL else f"{name} of {scene}"
+        titles = ", ".join(dict.fromkeys(line.title for line in known))
+        raise UserError(f"no row of evaluations is named {title!r}; there are {titles or 'none'}")
+    return random.choice(chosen)
