@@ -115,9 +115,9 @@ def find_cameras(
     """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
 
     Further searches follow while photographs lack a confirmed camera and have more pixels than were searched. One whose
-    verdict is good counts, among these the one that finds most cameras. The same photographs, searches and number of
-    threads give the same cameras, bit for bit, in whatever order they are given, unless they are ordered. A failure
-    raises nothing: the verdict states it.
+    verdict is good counts, among these the one that finds most cameras. The same photographs and searches give the same
+    cameras, bit for bit, on any number of threads and in whatever order they are given, unless they are ordered. A
+    failure raises nothing: the verdict states it.
     """
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):

@@ -2,11 +2,13 @@
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
+from anystyle.examples import resolved
 from anystyle_captures.sfm.colmap import match
 from anystyle_captures.sfm.model import Photograph, SearchOptions, SimpleRadial
 from anystyle_captures.sfm.trust import agreement
@@ -66,6 +68,20 @@ def test_any_order_of_photographs_gives_the_same_cameras(orbit, solved, tmp_path
         np.testing.assert_array_equal(value, getattr(expected, name))
     assert not again.cached and solve(orbit[1], keep=True).cached
     assert not solve(exchanged, keep=True, ordered=True).cached
+
+
+def test_any_number_of_threads_gives_the_same_cameras():
+    """In real photographs, whose equations the solver sums in another order on more threads."""
+    photographs = []
+    for path in sorted(resolved(Path("example:street")).glob("*.jpg"))[:5]:
+        image = Image.open(path).convert("RGB")
+        image.thumbnail((320, 320))
+        photographs.append(Photograph(path.stem, np.asarray(image)))
+    searches = (SearchOptions(min_side=320, max_side=320),)
+    one, three = (find_cameras(photographs, searches=searches, threads=threads).model for threads in (1, 3))
+    assert one.registered.sum() == 5
+    for name, value in vars(one).items():
+        np.testing.assert_array_equal(value, getattr(three, name))
 
 
 def test_no_feature_is_taken_of_what_is_masked(orbit, tmp_path):
