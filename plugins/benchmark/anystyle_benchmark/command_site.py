@@ -20,10 +20,10 @@ from anystyle.data.images import open_image
 from anystyle.errors import UserError
 from anystyle.evaluation.tables import number
 from anystyle.io.atomic import atomic_directory
-from anystyle.io.documents import as_number, kept_json
+from anystyle.io.documents import as_number
 from anystyle.types import OnProgress, Progress
 from anystyle_benchmark.judge import inputs_of, photographs
-from anystyle_benchmark.results import FIGURES, CellFigures, Figures, Interval, Record, read_figures
+from anystyle_benchmark.results import FIGURES, CellFigures, Figures, Interval, read_figures
 from anystyle_benchmark.statistics import cost, scene_cost
 from anystyle_benchmark.track import Inputs
 
@@ -111,7 +111,7 @@ def pages(inputs: Inputs, root: Path, figures: Figures, shown: Sequence[CellFigu
         "specs": figures.methods,
         "headline": figures.headline,
         "guides": {guide: _rows(figures, guide) for guide in dict.fromkeys(row.guide for row in figures.table)},
-        "taken": {name: _taken(root, figures, name) for name in figures.methods},
+        "taken": {name: _taken(figures, name) for name in figures.methods},
     }
     data = json.dumps(_data(inputs, root, figures, shown), ensure_ascii=False, separators=(",", ":"))
     return {
@@ -155,17 +155,18 @@ def _drawn(one: Interval | None, first: float, last: float) -> dict[str, Any] | 
     return {"mean": mean, "low": low, "high": high, "bar": bar}
 
 
-def _taken(root: Path, figures: Figures, method: str) -> dict[str, Any]:
+def _taken(figures: Figures, method: str) -> dict[str, Any]:
     """What a method took: seconds by guide and once per scene, memory, and where it ran."""
     cells = [cell for cell in figures.cells if cell.method == method]
-    records = [record for cell in cells if (record := kept_json(cell.cell.record(root), Record)) is not None]
+    origins = [figures.origins[cell.origin] for cell in cells if cell.origin in figures.origins]
     guides = dict.fromkeys(cell.guide for cell in cells)
     return {
         "seconds": {guide: cost(figures.cells_of(method, guide)) for guide in guides},
         "once": scene_cost(cells),
         "memory": max((cell.memory for cell in cells if cell.memory is not None), default=None),
-        "machines": sorted({record.machine for record in records if record.machine}),
-        "versions": {name: version for record in records for name, version in record.versions.items()},
+        "codes": sorted({origin.code for origin in origins if origin.code}),
+        "machines": sorted({origin.machine for origin in origins if origin.machine}),
+        "versions": {name: version for origin in origins for name, version in origin.versions.items()},
     }
 
 

@@ -2,7 +2,7 @@
 
 from msgspec import Struct, field
 
-SECONDS = "seconds.json"
+SECONDS, WEIGHTS = "seconds.json", "weights.json"
 
 
 class AskedStyle(Struct, frozen=True):
@@ -24,7 +24,8 @@ class Job(Struct, frozen=True):
         size: Height and width of these images in pixels.
         styles: In which the scene is wanted.
         seed: For whatever is random.
-        out: Folder for ``STYLE/VIEW.png``, 8-bit RGB, and :class:`Seconds` as ``seconds.json``.
+        out: Folder for ``STYLE/VIEW.png``, 8-bit RGB; a method may also write :class:`Seconds` as ``seconds.json``, and
+            the SHA-256 of its networks' files by their names as ``weights.json``.
         pages: Styles in which the scene is also wanted as a page to walk through, ``STYLE.html``, if there is a scene.
     """
 

@@ -41,6 +41,7 @@ from anystyle_benchmark.results import (
     Figures,
     Lock,
     MetricInfo,
+    Origin,
     Record,
     SceneFigures,
     TableRow,
@@ -87,7 +88,7 @@ class Judge:
             raise UserError(unknown(f"metric of track {track.name}", strange[0], named))
         images = [read(inputs.path(style.image)) for style in track.styles if style.image is not None]
         self.metrics = make([name for name in named if name in (chosen or named)], images)
-        self._reader, self._said = Reader(), set[str]()
+        self._reader, self._said, self._origins = Reader(), set[str](), dict[str, Origin]()
 
     def __call__(self, specs: Sequence[Spec], lock: Lock, on_progress: OnProgress) -> Figures:
         """The figures of these methods; ``on_progress`` is called for every scene of each."""
@@ -120,10 +121,12 @@ class Judge:
             reference = (sys.modules[type(metric).__module__].__doc__ or "").partition("\n")[0]
             for figure, better in metric.better.items():
                 stand_in = metric.stand_ins.get(figure, "")
-                infos[figure] = MetricInfo(figure.replace("_", " "), better, reference, stand_in, name)
+                title = figure.replace("_", " ")
+                infos[figure] = MetricInfo(title, better, reference, stand_in, name, dict(metric.weights))
         table = [_row(spec.name, guide, list(infos), cells, of_scenes) for spec in specs for guide in spec.guides]
         methods = {spec.name: spec for spec in specs}
-        return Figures(lock, infos, methods, cells, of_scenes, [row for row in table if row.cells])
+        origins = dict(sorted(self._origins.items()))
+        return Figures(lock, infos, methods, cells, of_scenes, [row for row in table if row.cells], origins)
 
     def _styles(self, guide: str) -> list[StyleEntry]:
         return [style for style in self.inputs.track.styles if style.guide == guide]
@@ -142,7 +145,9 @@ class Judge:
                 files = [cell.images(self.root) / f"{view}.png" for view in scene.views]
                 images[style.name] = _digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
             taken = record.seconds, record.scene_seconds, record.memory
-            rows.append(CellFigures(*cell, unit.guide, status, message, *taken))
+            self._origins[record.origin.key] = record.origin
+            made = {"images": images.get(style.name, ""), "origin": record.origin.key}
+            rows.append(CellFigures(*cell, unit.guide, status, message, *taken, **made))
         judged = self._figures(unit, images) if images else []
         for row in rows:
             for one in judged:

@@ -17,7 +17,7 @@ from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.request import Request
 from anystyle.types import Cameras, SourceImage
-from anystyle_benchmark.job import SECONDS, Job
+from anystyle_benchmark.job import SECONDS, WEIGHTS, Job
 
 
 def main(job_file: str, args: Sequence[str]) -> None:
@@ -31,6 +31,8 @@ def main(job_file: str, args: Sequence[str]) -> None:
     )
     start = time.process_time()
     results = anystyle.stylize(request)
+    loaded = {str(one["file"]): str(one["sha256"]) for one in results.networks.values()}
+    write_json(Path(job.out) / WEIGHTS, loaded)
     cameras = judged_cameras(results.encoded.cameras, results.encoded.sources, job.views, job.size)
     spent = time.process_time()
     # A fit that an earlier method left in the cache took no time now: that method's record has its seconds.

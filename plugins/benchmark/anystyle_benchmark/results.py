@@ -9,6 +9,7 @@
     RESULTS/figures.json                        Figures, by ``judge``
 """
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -37,6 +38,27 @@ class Lock(Struct, frozen=True):
     hashes: dict[str, str]
 
 
+class Origin(Struct, frozen=True, kw_only=True):
+    """What images were made by; empty where nothing was run, or where it is not known.
+
+    Args:
+        code: Commit of the checkout, with ``+`` where files differ from it.
+        versions: Versions of the packages that ran.
+        weights: SHA-256 of the networks' files, by their names.
+        machine: Processor and number of cores.
+    """
+
+    code: str = ""
+    versions: dict[str, str] = msgspec.field(default_factory=dict)
+    weights: dict[str, str] = msgspec.field(default_factory=dict)
+    machine: str = ""
+
+    @property
+    def key(self) -> str:
+        """A short hash that identifies it."""
+        return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:12]
+
+
 class Record(Struct, frozen=True):
     """How a cell went: whether it has images, and one line on why not.
 
@@ -45,8 +67,6 @@ class Record(Struct, frozen=True):
         scene_seconds: CPU seconds per scene, such as of fitting it; 0 where not reported, ``None`` where an earlier
             result was reused.
         memory: Peak resident memory of its processes, in MiB; ``None`` where nothing was run.
-        machine: Processor and number of cores.
-        versions: Versions of the packages that ran.
     """
 
     status: Literal["done", "failed", "timeout", "missing"]
@@ -54,8 +74,7 @@ class Record(Struct, frozen=True):
     seconds: float | None = None
     scene_seconds: float | None = 0.0
     memory: float | None = None
-    machine: str = ""
-    versions: dict[str, str] = msgspec.field(default_factory=dict)
+    origin: Origin = Origin()
 
 
 class Cell(NamedTuple):
@@ -80,17 +99,24 @@ class Cell(NamedTuple):
 
 
 class MetricInfo(Struct, frozen=True):
-    """A column: ``better`` is ``higher`` or ``lower``, ``metric`` the plugin, whose first figure is shown first."""
+    """A column: ``better`` is ``higher`` or ``lower``, ``metric`` the plugin, whose first figure is shown first.
+
+    ``weights`` are hashes of the files of its networks.
+    """
 
     title: str
     better: str
     reference: str = ""
     stand_in: str = ""
     metric: str = ""
+    weights: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 class CellFigures(Struct, frozen=True):
-    """The figures of a cell, or what its record says."""
+    """The figures of a cell, or what its record says.
+
+    ``images`` is a hash of its images' files, and ``origin`` the key of what made them in :attr:`Figures.origins`.
+    """
 
     method: str
     seed: int
@@ -103,6 +129,8 @@ class CellFigures(Struct, frozen=True):
     scene_seconds: float | None = 0.0
     memory: float | None = None
     figures: dict[str, Figure] = msgspec.field(default_factory=dict)
+    images: str = ""
+    origin: str = ""
 
     @property
     def place(self) -> tuple[str, ...]:
@@ -161,6 +189,7 @@ class Figures(Struct, frozen=True):
     cells: list[CellFigures]
     scenes: list[SceneFigures]
     table: list[TableRow]
+    origins: dict[str, Origin] = msgspec.field(default_factory=dict)
 
     @property
     def headline(self) -> list[str]:
@@ -198,10 +227,10 @@ def read_lock(root: Path) -> Lock:
 
 
 def read_figures(root: Path) -> Figures:
-    """What the judge found in a folder of results."""
-    path = root / FIGURES
+    """What the judge found in a folder of results, or in a file of figures."""
+    path = root if root.suffix == ".json" else root / FIGURES
     if not path.is_file():
-        raise UserError(f"there is no {path}; run `anystyle benchmark judge {root}` first")
+        raise UserError(f"there is no {path}; run `anystyle benchmark judge {path.parent}` first")
     return read_json(path, Figures, what="file of figures")
 
 

@@ -2,11 +2,12 @@
 
 import os
 import platform
+import re
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,9 +20,10 @@ from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json
 from anystyle.io.process import kill
+from anystyle.io.record import commit, versions
 from anystyle_benchmark.environment import interpreter, last_line
-from anystyle_benchmark.job import SECONDS, AskedStyle, Job, Seconds
-from anystyle_benchmark.results import Cell, Record, is_done, wrong_images
+from anystyle_benchmark.job import SECONDS, WEIGHTS, AskedStyle, Job, Seconds
+from anystyle_benchmark.results import Cell, Origin, Record, is_done, wrong_images
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
@@ -63,7 +65,7 @@ def run_scene(
     try:
         with FileLock(folder / ".lock", timeout=0):
             scratch = folder / ".job"
-            _collect(scratch / "out", cells, scene.views, size, root, Ended())  # of an interrupted run
+            _collect(scratch / "out", cells, scene.views, size, root, Ended(), Origin())  # of an interrupted run
             missing = [style for style in styles if style.name in cells and not is_done(cells[style.name], root)]
             if not missing:
                 return list(cells.values())
@@ -72,12 +74,13 @@ def run_scene(
             (scratch / "out").mkdir(parents=True)
             ended = ask(make_job(inputs, scene, missing, seed, scratch.resolve() / "out", pages), spec, home)
             wanted = {style.name: cells[style.name] for style in missing}
-            found = _collect(scratch / "out", wanted, scene.views, size, root, ended)
+            origin = Origin() if ended.memory is None else origin_now(spec)
+            found = _collect(scratch / "out", wanted, scene.views, size, root, ended, origin)
             failures = {
                 name: ended.failure or _absent(scratch, name, scene.views, size) for name in wanted if name not in found
             }
             for name, message in failures.items():
-                record = Record("timeout" if ended.timed_out else "failed", message, machine=_machine())
+                record = Record("timeout" if ended.timed_out else "failed", message, origin=origin)
                 write_json(wanted[name].record(root), msgspec.to_builtins(record))
             (folder / LOG).unlink(missing_ok=True)
             failed = f", {len(failures)} failed: {next(iter(failures.values()))}" if failures else ""
@@ -160,21 +163,27 @@ def process(args: Sequence[str], folder: Path, hours: float, *, ours: bool = Tru
 
 
 def _collect(
-    out: Path, cells: dict[str, Cell], views: Sequence[str], size: tuple[int, int], root: Path, ended: Ended
+    out: Path,
+    cells: dict[str, Cell],
+    views: Sequence[str],
+    size: tuple[int, int],
+    root: Path,
+    ended: Ended,
+    origin: Origin,
 ) -> set[str]:
     """Move the styles whose images are whole to their places, each with its record; the names of these."""
     found = [name for name in cells if not wrong_images(out / name, views, size)]
     said = kept_json(out / SECONDS, Seconds)
+    origin = msgspec.structs.replace(origin, weights=kept_json(out / WEIGHTS, dict[str, str]) or {})
     for name in found:
         images, share = cells[name].images(root), ended.seconds / len(found) or None
         seconds = share if said is None else said.styles.get(name, share)
         once = 0.0 if said is None else said.scene
-        ran = ("", {}) if ended.memory is None else (_machine(), {"python": platform.python_version()})
         shutil.rmtree(images, ignore_errors=True)
         (out / name).replace(images)
         if (page := out / f"{name}.html").is_file():
             page.replace(cells[name].page(root))
-        record = Record("done", "", seconds, once, ended.memory, *ran)
+        record = Record("done", "", seconds, once, ended.memory, origin)
         write_json(cells[name].record(root), msgspec.to_builtins(record))
     return set(found)
 
@@ -182,7 +191,7 @@ def _collect(
 def _absent(scratch: Path, name: str, views: Sequence[str], size: tuple[int, int]) -> str:
     """What is wrong with a style that a program left no images of, though it ended well."""
     wrong = wrong_images(scratch / "out" / name, views, size)
-    ours = {scratch / "job.json", scratch / LOG, scratch / "out" / SECONDS}
+    ours = {scratch / "job.json", scratch / LOG, *(scratch / "out" / name for name in (SECONDS, WEIGHTS))}
     others = [path for path in scratch.rglob("*") if path.is_file() and path not in ours]
     elsewhere = [str(path.relative_to(scratch)) for path in others if path.parent != scratch / "out" / name]
     return wrong[0] + (f"; it wrote {listing(elsewhere, 3)}" if elsewhere else "")
@@ -203,5 +212,12 @@ def _children() -> float:
     return times.children_user + times.children_system
 
 
-def _machine() -> str:
-    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"
+def origin_now(spec: Spec, weights: Mapping[str, str] | None = None) -> Origin:
+    """What makes a method's images now: this code, or the packages of its environment."""
+    loaded = dict(weights or {})
+    machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"
+    if spec.requirements:
+        packages = dict(re.split(r" *(?:==|@) *", line, maxsplit=1) for line in spec.requirements)
+        return Origin(versions={"python": platform.python_version(), **packages}, weights=loaded, machine=machine)
+    known = {"python": platform.python_version(), **versions()}
+    return Origin(code=commit(), versions=known, weights=loaded, machine=machine)

@@ -13,7 +13,7 @@ from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle_benchmark.command_run import main
 from anystyle_benchmark.environment import interpreter
-from anystyle_benchmark.results import Cell, Record, wrong_images
+from anystyle_benchmark.results import Cell, Origin, Record, wrong_images
 from anystyle_benchmark.spec import read_spec
 
 PROGRAM = """
@@ -151,8 +151,8 @@ def test_a_folder_of_images_is_a_method(world):
     records = ran(world, spec)
     assert records["one", "a"].status == "done" and records["one", "a"].seconds is None
     assert records["two", "b"].message == "there is no b/0.png"
-    record = records["one", "a"]  # machine and versions of images made elsewhere are unknown
-    assert (record.memory, record.machine, record.versions) == (None, "", {})
+    record = records["one", "a"]  # what made images elsewhere is unknown
+    assert (record.memory, record.origin) == (None, Origin())
 
 
 def test_what_a_failed_program_printed_is_kept_until_it_succeeds(world, capsys):

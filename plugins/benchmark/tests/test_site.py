@@ -17,6 +17,7 @@ from anystyle_benchmark.results import (
     Figures,
     Interval,
     MetricInfo,
+    Origin,
     Record,
     SceneFigures,
     TableRow,
@@ -60,6 +61,7 @@ MEANS = {"unstyled": 0.5, "noise": 0.9, "pasted": 0.1, "palette": 0.3}
 """Of ``color_match``; ``retrieval`` is as much less than 1, and infinite for the photographs."""
 FAILED = ("palette", 0, "scene1", "image1")
 MESSAGE = "RuntimeError: <b>nan</b> after 3 steps"
+ORIGIN = Origin(code="0123abc", versions={"python": "3.11"}, machine="A machine")
 
 
 def write_figures(inputs, root: Path, methods=tuple(SPECS)) -> None:
@@ -71,13 +73,13 @@ def write_figures(inputs, root: Path, methods=tuple(SPECS)) -> None:
         guide = inputs.style(cell.style).guide
         if guide in SPECS[cell.method].guides:
             failed = tuple(cell) == FAILED
-            record = Record("failed", MESSAGE) if failed else Record("done", "", 2.0, 6.0, 100.0, "A machine")
+            record = Record("failed", MESSAGE) if failed else Record("done", "", 2.0, 6.0, 100.0, ORIGIN)
             write_json(cell.record(root), msgspec.to_builtins(record))
             mean = MEANS[cell.method] + 0.01 * cell.seed
             figures = {"color_match": mean, "retrieval": 1 - mean, "retrieval_gray": None}
             seconds = None if cell.method == "pasted" else 10 * mean
             values = (record.status, record.message, seconds, 0.0, 100.0)
-            rows.append(CellFigures(*cell, guide, *values, {} if failed else figures))
+            rows.append(CellFigures(*cell, guide, *values, {} if failed else figures, origin=record.origin.key))
     for method in {row.method for row in rows}:
         wholes += [SceneFigures(method, 0, scene.name, "image", {"kid": 2.0}) for scene in inputs.track.scenes]
     table = []
@@ -91,7 +93,7 @@ def write_figures(inputs, root: Path, methods=tuple(SPECS)) -> None:
         figures |= {"kid": Interval(2.0, None, None, 2)} if guide == "image" and method != "noise" else {}
         table.append(TableRow(method, guide, len(states), len(states) - states.count("done"), figures))
     documents = {name: SPECS[name] for name in methods}
-    found = Figures(bind(inputs, root), METRICS, documents, rows, wholes, table)
+    found = Figures(bind(inputs, root), METRICS, documents, rows, wholes, table, {ORIGIN.key: ORIGIN})
     write_json(root / FIGURES, msgspec.to_builtins(found))
 
 

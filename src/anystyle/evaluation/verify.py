@@ -27,17 +27,17 @@ ROUNDING = 1e-5
 
 @dataclass(frozen=True)
 class Verification:
-    """An evaluation, and what became of it.
+    """What became of figures that were to be made again.
 
     Args:
-        folder: Where the evaluation lies.
+        name: Whose figures they are, such as the folder of an evaluation.
         figures: How many figures were compared.
         worst: The name of the one that differs most, its value before and now; ``None`` if none differs.
         changed: What it rests on that is not what it was, in words.
         failure: Why it cannot be made again.
     """
 
-    folder: Path
+    name: str
     figures: int = 0
     worst: tuple[str, float, float] | None = None
     changed: tuple[str, ...] = ()
@@ -56,16 +56,16 @@ class Verification:
     def __str__(self) -> str:
         changed = f"changed: {', '.join(self.changed)}" if self.changed else "nothing it rests on has changed"
         if self.failure:
-            return f"{self.folder}: cannot be made again: {self.failure}; {changed}"
+            return f"{self.name}: cannot be made again: {self.failure}; {changed}"
         if not self.figures:  # nothing was made, or times alone
-            return f"{self.folder}: {changed}"
+            return f"{self.name}: {changed}"
         if self.worst is None:
-            return f"{self.folder}: all {self.figures} figures are equal; {changed}"
+            return f"{self.name}: all {self.figures} figures are equal; {changed}"
         name, before, now = self.worst
         if self.holds:
             most = f"{name} by {self.difference:.1e} of its value"
-            return f"{self.folder}: all {self.figures} figures are equal within rounding, {most}; {changed}"
-        return f"{self.folder}: {name} is {now:.6g} and was {before:.6g}; {changed}"
+            return f"{self.name}: all {self.figures} figures are equal within rounding, {most}; {changed}"
+        return f"{self.name}: {name} is {now:.6g} and was {before:.6g}; {changed}"
 
 
 def rests_on(provenance: Mapping[str, Any]) -> dict[str, str]:
@@ -84,7 +84,7 @@ def changes(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...
     """What is not what it was, in words; code with uncommitted changes is never known to be the same."""
     pairs = {name: (before.get(name, ""), now.get(name, "")) for name in {**before, **now}}
     words = [f"{name} {_short(old)} -> {_short(new)}" for name, (old, new) in pairs.items() if old != new]
-    unknown = pairs["code"][0] == pairs["code"][1] and pairs["code"][0].endswith("+")
+    unknown = before.get("code") == now.get("code", "") and now.get("code", "").endswith("+")
     return (*words, "code (uncommitted changes)") if unknown else tuple(words)
 
 
@@ -99,7 +99,7 @@ def cheaply(folder: Path) -> Verification:
     with _at(known):
         now = {**foundations(known["config"]), "commit": commit(), "versions": versions()}
         now["weights"] = {part: _weights_now(part, entry, known["config"]) for part, entry in known["weights"].items()}
-    return Verification(folder, changed=changes(rests_on(known), rests_on(now)))
+    return Verification(str(folder), changed=changes(rests_on(known), rests_on(now)))
 
 
 def _weights_now(part: str, entry: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
@@ -132,13 +132,20 @@ def again(folder: Path, out: Path, on_progress: OnProgress) -> Verification:
         try:
             made = run(OmegaConf.create(config), out, on_progress=on_progress)
         except (UserError, OSError) as error:
-            return Verification(folder, failure=one_line(error), changed=cheaply(folder).changed)
+            return Verification(str(folder), failure=one_line(error), changed=cheaply(folder).changed)
     before, now = _figures(stored), _figures(record.read(out) or made)
-    differing = [(name, old, now.get(name, math.nan)) for name, old in before.items()]
+    return compared(str(folder), before, now, changes(rests_on(known), rests_on(made.provenance)))
+
+
+def compared(
+    name: str, before: Mapping[str, float], now: Mapping[str, float], changed: tuple[str, ...]
+) -> Verification:
+    """The verification of figures, each beside what it was ``before``; one that is lacking ``now`` is nan."""
+    pairs = [(figure, old, now.get(figure, math.nan)) for figure, old in before.items()]
     worst = max(
-        (row for row in differing if _difference(*row[1:])), key=lambda row: _difference(*row[1:]), default=None
+        (pair for pair in pairs if _difference(*pair[1:])), key=lambda pair: _difference(*pair[1:]), default=None
     )
-    return Verification(folder, len(before), worst, changes(rests_on(known), rests_on(made.provenance)))
+    return Verification(name, len(before), worst, changed)
 
 
 def _difference(before: float, now: float) -> float:

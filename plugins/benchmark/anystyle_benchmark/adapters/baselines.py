@@ -23,8 +23,8 @@ def main(name: str, job: Job) -> None:
     """Paint every view in every style."""
     images = {view: job.photograph(view) for view in job.views}
     pixels = np.concatenate([image.reshape(-1, 3) for image in images.values()]).astype(float)
-    for number, style in enumerate(job.styles):
-        generator = np.random.default_rng([job.seed, number])
+    for style in job.styles:
+        generator = np.random.default_rng([job.seed, *style["name"].encode()])  # whatever else is asked
         matrix, offset = np.eye(3), np.zeros(3)
         if name == "palette":
             matrix, offset = palette(pixels, job.painting(style["image"]).reshape(-1, 3).astype(float))
