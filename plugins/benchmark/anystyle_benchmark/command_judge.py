@@ -1,6 +1,7 @@
 """``anystyle benchmark judge``: the figures of results, or what is wrong with somebody's images."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,11 +14,14 @@ from anystyle.errors import UserError
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import as_number
+from anystyle.io.limits import free
 from anystyle_benchmark.judge import Judge, inputs_of, read_methods, wrong
 from anystyle_benchmark.results import FIGURES, Figures, Interval, bind
 from anystyle_benchmark.statistics import cost
 from anystyle_benchmark.track import Inputs
 
+PROCESS = 2 * 2**30
+"""Bytes that a process which judges takes, at most, on the bundled tracks."""
 INTERVALS = (
     "Means over scenes and styles, ± half of the 95 % interval for new scenes and styles (pigeonhole bootstrap; of "
     "figures that a scene has over all its styles, for new scenes). Failed cells are left out."
@@ -36,6 +40,8 @@ def parser() -> argparse.ArgumentParser:
     add("--track", metavar="NAME", help="a track, or a track.toml (default: that of the results)")
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     add("--metrics", default="", metavar="A,B", help="only these of the track's metrics")
+    help_ = "how many judge at once (default: one for each core, as far as memory goes)"
+    add("--processes", type=int, metavar="N", help=help_)
     check = "judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png"
     add("--check", type=Path, metavar="FOLDER", help=check)
     return flags
@@ -59,7 +65,10 @@ def main(args: Sequence[str]) -> None:
     specs = read_methods(results)
     inputs = inputs_of(results, arguments.track, arguments.root)
     lock = bind(inputs, results)
-    judge = Judge(inputs, results, tuple(filter(None, arguments.metrics.split(","))))
+    if arguments.processes is not None and arguments.processes < 1:
+        raise UserError(f"--processes {arguments.processes}; give 1 or more")
+    processes = arguments.processes or max(1, min(os.cpu_count() or 1, free() // PROCESS))
+    judge = Judge(inputs, results, tuple(filter(None, arguments.metrics.split(","))), processes=processes)
     figures = judge(specs, lock, progress_lines())
     write_json(results / FIGURES, msgspec.to_builtins(figures))
     table = summary(figures).markdown()

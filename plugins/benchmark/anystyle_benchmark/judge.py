@@ -7,9 +7,12 @@ a single style belong to its cell; those of all styles of a scene, such as a dis
 import hashlib
 import logging
 import math
+import multiprocessing
+import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -78,17 +81,30 @@ class Unit(NamedTuple):
     guide: str
 
 
-class Judge:
-    """Judges the methods in a folder of results by a track's metrics, all or those that are ``chosen``."""
+class Found(NamedTuple):
+    """The cells of a unit, the figures of its styles together, what made the images, and lines to be told."""
 
-    def __init__(self, inputs: Inputs, root: Path, chosen: Sequence[str] = ()) -> None:
-        self.inputs, self.root, track = inputs, root, inputs.track
+    rows: list[CellFigures]
+    scene: dict[str, Figure]
+    origins: dict[str, Origin]
+    lines: list[str]
+
+
+class Judge:
+    """Judges the methods in a folder of results by a track's metrics, all or those that are ``chosen``.
+
+    Args:
+        processes: How many judge at once, each with one thread; with 1, this one does.
+    """
+
+    def __init__(self, inputs: Inputs, root: Path, chosen: Sequence[str] = (), *, processes: int = 1) -> None:
+        self.inputs, self.root, self.processes, track = inputs, root, processes, inputs.track
         named = list(dict.fromkeys(name for guide in GUIDES for name in track.metrics.get(guide, ())))
         if strange := [name for name in chosen if name not in named]:
             raise UserError(unknown(f"metric of track {track.name}", strange[0], named))
         images = [read(inputs.path(style.image)) for style in track.styles if style.image is not None]
         self.metrics = make([name for name in named if name in (chosen or named)], images)
-        self._reader, self._said, self._origins = Reader(), set[str](), dict[str, Origin]()
+        self.chosen, self._reader = tuple(chosen), Reader()
 
     def __call__(self, specs: Sequence[Spec], lock: Lock, on_progress: OnProgress) -> Figures:
         """The figures of these methods; ``on_progress`` is called for every scene of each."""
@@ -104,10 +120,17 @@ class Judge:
         scenes = [scene.name for scene in self.inputs.track.scenes]
         rows: dict[Unit, list[CellFigures]] = {}
         wholes: dict[Unit, dict[str, Figure]] = {}
-        for unit in sorted(units, key=lambda unit: scenes.index(unit.scene)):  # features of its photographs are kept
+        origins, said = dict[str, Origin](), set[str]()
+        in_order = sorted(units, key=lambda unit: scenes.index(unit.scene))  # features of its photographs are kept
+        on_progress(Progress.count("judge", 0, len(units)))
+        for unit, found in zip(in_order, self._all(in_order), strict=True):
+            rows[unit], wholes[unit] = found.rows, found.scene
+            origins |= found.origins
+            for line in found.lines:
+                if line not in said:
+                    log.warning(line)
+                said.add(line)
             on_progress(Progress.count("judge", len(rows), len(units)))
-            rows[unit], wholes[unit] = self._judge(unit)
-        on_progress(Progress.count("judge", len(units), len(units)))
         together = {name for unit in units for name in _together(rows[unit], wholes[unit])}
         cells = [
             msgspec.structs.replace(row, figures={n: row.figures[n] for n in row.figures if n not in together})
@@ -125,36 +148,48 @@ class Judge:
                 infos[figure] = MetricInfo(title, better, reference, stand_in, name, dict(metric.weights))
         table = [_row(spec.name, guide, list(infos), cells, of_scenes) for spec in specs for guide in spec.guides]
         methods = {spec.name: spec for spec in specs}
-        origins = dict(sorted(self._origins.items()))
-        return Figures(lock, infos, methods, cells, of_scenes, [row for row in table if row.cells], origins)
+        shown = [row for row in table if row.cells]
+        return Figures(lock, infos, methods, cells, of_scenes, shown, dict(sorted(origins.items())))
+
+    def _all(self, units: Sequence[Unit]) -> Iterator[Found]:
+        """What is found of each unit, in their order."""
+        if self.processes == 1:
+            yield from map(self.judge, units)
+            return
+        job = self.inputs, self.root, self.chosen
+        pool = ProcessPoolExecutor(self.processes, multiprocessing.get_context("spawn"), _begin, job)
+        try:
+            yield from pool.map(_judge, units)
+        finally:
+            pool.shutdown(cancel_futures=True)  # after the units that are being judged, whose figures are kept
 
     def _styles(self, guide: str) -> list[StyleEntry]:
         return [style for style in self.inputs.track.styles if style.guide == guide]
 
-    def _judge(self, unit: Unit) -> tuple[list[CellFigures], dict[str, Figure]]:
+    def judge(self, unit: Unit) -> Found:
         """The cells of a unit with their figures, and those of the scene; a cell of bad images has failed."""
-        scene, rows, images = self.inputs.scene(unit.scene), [], {}
+        scene, rows, images, origins, lines = self.inputs.scene(unit.scene), [], {}, {}, []
         size = self.inputs.size(scene)
         for style in self._styles(unit.guide):
             cell = Cell(unit.method, unit.seed, unit.scene, style.name)
             record = kept_json(cell.record(self.root), Record) or Record("missing")
             status, message = record.status, record.message
-            if status == "done" and (lines := wrong_images(cell.images(self.root), scene.views, size)):
-                status, message = "failed", lines[0]
+            if status == "done" and (wrong := wrong_images(cell.images(self.root), scene.views, size)):
+                status, message = "failed", wrong[0]
             elif status == "done":
                 files = [cell.images(self.root) / f"{view}.png" for view in scene.views]
                 images[style.name] = _digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
             taken = record.seconds, record.scene_seconds, record.memory
-            self._origins[record.origin.key] = record.origin
+            origins[record.origin.key] = record.origin
             made = {"images": images.get(style.name, ""), "origin": record.origin.key}
             rows.append(CellFigures(*cell, unit.guide, status, message, *taken, **made))
-        judged = self._figures(unit, images) if images else []
+        judged = self._figures(unit, images, lines) if images else []
         for row in rows:
             for one in judged:
                 row.figures.update(one.styles.get(row.style, {}))
-        return rows, {name: figure for one in judged for name, figure in one.scene.items()}
+        return Found(rows, {name: figure for one in judged for name, figure in one.scene.items()}, origins, lines)
 
-    def _figures(self, unit: Unit, images: Mapping[str, str]) -> list[Judged]:
+    def _figures(self, unit: Unit, images: Mapping[str, str], lines: list[str]) -> list[Judged]:
         """The figures of a unit's whole images, by every metric of its guide: those kept, and those that are new."""
         file = self.root / ".judged" / unit.method / str(unit.seed) / unit.scene / f"{unit.guide}.json"
         kept: dict[str, Judged] = kept_json(file, dict[str, Judged]) or {}
@@ -165,27 +200,28 @@ class Judge:
         }
         missing = [name for name in names if name not in kept or kept[name].key != keys[name]]
         kept = {name: judged for name, judged in kept.items() if name not in missing}
-        for name, new in self._new(missing, unit, list(images)).items():
+        for name, new in self._new(missing, unit, list(images), lines).items():
             styles = {style: _rounded(figures) for style, figures in new.styles.items()}
             kept[name] = Judged(keys[name], styles, _rounded(new.figures))
         if missing:
             write_json(file, msgspec.to_builtins(kept))
         return [kept[name] for name in names if name in kept]
 
-    def _new(self, names: Sequence[str], unit: Unit, styles: Sequence[str]) -> dict[str, loop.SceneFigures]:
-        """The metric loop; if a metric raises, each is computed by itself and those that raise are left out."""
+    def _new(
+        self, names: Sequence[str], unit: Unit, styles: Sequence[str], lines: list[str]
+    ) -> dict[str, loop.SceneFigures]:
+        """The metric loop; if a metric raises, each is computed by itself, those that raise left out and told."""
         torch.manual_seed(0)
         try:
             metrics = {name: self.metrics[name] for name in names}
             return loop.judge_scene(metrics, self._comparisons(unit, styles)) if metrics else {}
         except (UserError, ValueError) as error:
             if len(names) > 1:
-                return {name: found for one in names for name, found in self._new([one], unit, styles).items()}
+                alone = [self._new([one], unit, styles, lines) for one in names]
+                return {name: found for figures in alone for name, found in figures.items()}
             text = f"{names[0]} has no figures in {unit.scene}: {one_line(error)}"
             text += "" if self.inputs.scene(unit.scene).geometry else " (the track has no geometry of this scene)"
-            if text not in self._said:
-                log.warning(text)
-            self._said.add(text)
+            lines.append(text)
             return {}
 
     def _comparisons(self, unit: Unit, styles: Sequence[str]) -> Iterator[Comparison]:
@@ -213,6 +249,21 @@ class Judge:
                 depth = F.interpolate(comparison.depth, comparison.stylized.shape[-2:], mode="nearest-exact")
                 comparison = replace(comparison, depth=depth)
             yield comparison
+
+
+_worker: Judge
+"""The judge of a process that judges for another."""
+
+
+def _begin(inputs: Inputs, root: Path, chosen: Sequence[str]) -> None:
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all, and the first one ends the others
+    torch.set_num_threads(1)
+    _worker = Judge(inputs, root, chosen)
+
+
+def _judge(unit: Unit) -> Found:
+    return _worker.judge(unit)
 
 
 def make(names: Sequence[str], gallery: Sequence[Tensor]) -> dict[str, Metric]:

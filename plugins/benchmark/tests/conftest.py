@@ -13,5 +13,5 @@ def world(tmp_path_factory):
     folder = tmp_path_factory.mktemp("world")
     track = write_track(folder / "track", views=3, images=3, texts=1)
     write_results(track, folder / "results", ("noise", "pasted", "unstyled"), seeds=2)
-    main([str(folder / "results"), "--track", str(track)])
+    main([str(folder / "results"), "--track", str(track), "--processes", "1"])
     return track, folder / "results"

@@ -86,7 +86,7 @@ def test_two_runs_are_equal_to_the_last_byte_and_only_what_changed_is_judged(cop
 
     original = judging.loop.judge_scene
     monkeypatch.setattr(judging.loop, "judge_scene", counted)
-    main([str(results), "--track", str(track)])
+    main([str(results), "--track", str(track), "--processes", "1"])
     assert (results / "figures.json").read_bytes() == before
     # Of a scene without geometry, what could not be said is asked again.
     assert all(metrics == ["warp_consistency"] and scene == "scene2" for scene, _, metrics in seen)
@@ -95,12 +95,12 @@ def test_two_runs_are_equal_to_the_last_byte_and_only_what_changed_is_judged(cop
     shutil.rmtree(results / "noise" / "0" / "scene0" / "image1")
     (results / "palette" / "0" / "scene0" / "image1").rename(results / "noise" / "0" / "scene0" / "image1")
     shutil.rmtree(results / "palette")
-    main([str(results), "--track", str(track), "--metrics", "color_match,kid"])
+    main([str(results), "--track", str(track), "--metrics", "color_match,kid", "--processes", "1"])
     assert seen == [("scene0", ["image0", "image1", "image2"], ["color_match", "kid"])]
     texts = []
-    for _ in range(2):
+    for processes in ("1", "2"):
         shutil.rmtree(results / ".judged")
-        main([str(results), "--track", str(track), "--metrics", "style_retrieval"])
+        main([str(results), "--track", str(track), "--metrics", "style_retrieval", "--processes", processes])
         texts.append((results / "figures.json").read_bytes())
     assert texts[0] == texts[1] != before
     assert str(results.parent).encode() not in texts[0]

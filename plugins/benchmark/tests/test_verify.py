@@ -43,7 +43,7 @@ def results(tmp_path_factory):
     (root / "noisy.toml").write_text(SPEC)
     (root / "noisy.py").write_text(PROGRAM)
     run([f"track={track}", f"methods=[{root / 'noisy.toml'}]", f"out={root / 'results'}"])
-    judge([str(root / "results"), "--track", str(track)])
+    judge([str(root / "results"), "--track", str(track), "--processes", "1"])
     return root
 
 
