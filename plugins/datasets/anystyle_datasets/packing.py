@@ -1,0 +1,176 @@
+"""Writing scenes and styles to shards."""
+
+import logging
+import tarfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from anystyle.data.images import image_size
+from anystyle.data.stored import StoredScenes, StoredStyles
+from anystyle.errors import UserError, one_line
+from anystyle.io.atomic import PARTIAL, atomic_path, folder_lock, write_json
+from anystyle.io.documents import kept_json
+from anystyle.io.images import Picture, opened
+from anystyle.types import OnProgress, Progress, no_progress
+from anystyle_datasets.shards import INDEX, ROW, ROWS, Described, Header, Photograph, shard_name
+
+logger = logging.getLogger(__name__)
+
+BEGUN = "begun.json"
+"""The index while shards are being written; each that is finished has its rows beside it."""
+
+
+def pack(
+    source: Any, out: Path, *, options: dict[str, Any], megabytes: int = 1024, on_progress: OnProgress = no_progress
+) -> Header:
+    """Write the samples of a source to shards, their pictures as they are stored.
+
+    Finished shards are kept: an interrupted call is continued by the same call, to the same bytes. A scene that cannot
+    be read stays, without views, so that scenes keep their numbers.
+
+    Args:
+        source: :class:`~anystyle.data.stored.StoredScenes`, or ``StoredStyles``.
+        out: A folder.
+        options: Options of the source that readers of the shards take where they are given none.
+        megabytes: Size after which a shard is closed.
+        on_progress: Called for each scene or style.
+
+    Raises:
+        UserError: The source's pictures are not stored, or the folder holds shards of another one.
+    """
+    if not isinstance(source, StoredScenes | StoredStyles):
+        raise UserError(f"{type(source).__name__} makes its pictures: there are no files of them to put into shards")
+    kind, name = ("scenes", source.name) if isinstance(source, StoredScenes) else ("styles", _named(source))
+    header = Header(kind, [name(group) for group in range(len(source))], options, megabytes)
+    with folder_lock(out, f"another `anystyle data shard` is at work in {out}"):
+        known = kept_json(out / INDEX, Header) or kept_json(out / BEGUN, Header)
+        if _plan(known) != _plan(header) if known else any(out.glob("*.tar")):
+            raise UserError(f"{out} holds shards of other samples or options; choose another folder, or remove it")
+        if not (out / INDEX).is_file():
+            for partial in out.glob(f"{PARTIAL}*"):  # of a process that was killed
+                partial.unlink()
+            write_json(out / BEGUN, msgspec.to_builtins(header))
+            _write(out, header, source, on_progress)
+    return header
+
+
+def _named(styles: StoredStyles) -> Callable[[int], str]:
+    return lambda style: styles.stored(style).name
+
+
+def _plan(header: Header) -> tuple[Any, ...]:
+    return header.version, header.kind, header.names, header.options, header.megabytes
+
+
+def _write(out: Path, header: Header, source: StoredScenes | StoredStyles, on_progress: OnProgress) -> None:
+    done: list[NDArray[np.void]] = []
+    while (part := _part(out, len(done))).is_file():
+        done.append(np.load(part))
+    group = int(done[-1]["group"][-1]) if done else 0
+    # A scene may begin in one shard and end in the next.
+    skipped = sum(int((rows["group"] == group).sum()) for rows in done)
+    left = islice(_samples(source, group, on_progress), skipped, None)
+    for first in left:
+        done.append(_shard(out / shard_name(len(done)), len(done), chain([first], left), header.megabytes << 20))
+        with atomic_path(_part(out, len(done) - 1), sync=True) as temporary:
+            np.save(temporary, done[-1])
+    if not done:
+        raise UserError(f"none of {len(header.names)} {header.kind} can be read")
+    with atomic_path(out / ROWS, sync=True) as temporary:
+        np.save(temporary, np.concatenate(done))
+        header.crc = zlib.crc32(temporary.read_bytes())
+    header.shards = [(out / shard_name(number)).stat().st_size for number in range(len(done))]
+    write_json(out / INDEX, msgspec.to_builtins(header))
+    for path in (out / BEGUN, *(_part(out, number) for number in range(len(done)))):
+        path.unlink()
+
+
+def _part(out: Path, number: int) -> Path:
+    """The rows of a shard, which are there when it is finished."""
+    return (out / shard_name(number)).with_suffix(".npy")
+
+
+_Known = tuple[msgspec.Struct, Picture | None]
+
+
+class _Sample(NamedTuple):
+    group: int
+    number: int
+    about: msgspec.Struct
+    picture: Picture | None
+
+
+def _samples(source: StoredScenes | StoredStyles, first: int, on_progress: OnProgress) -> Iterator[_Sample]:
+    """The samples of all groups, from ``first`` on."""
+    samples = _photographs if isinstance(source, StoredScenes) else _style
+    for group in range(first, len(source)):
+        on_progress(Progress.count("packing", group, len(source)))
+        for number, (about, picture) in enumerate(samples(source, group)):
+            yield _Sample(group, number, about, picture)
+    on_progress(Progress.count("packing", len(source), len(source)))
+
+
+def _photographs(source: Any, scene: int) -> Iterator[_Known]:
+    try:
+        shots = source.shots(scene)
+    except UserError as error:
+        logger.warning("%s is packed without views: %s", source.name(scene), one_line(error))
+        return
+    for view, (picture, name) in enumerate(zip(shots.pictures, shots.names, strict=True)):
+        about = Photograph(name)
+        if shots.cameras:
+            camera = shots.cameras[view]
+            about = Photograph(name, camera.world_from_camera.tolist(), camera.intrinsics.tolist(), camera.size)
+        yield about, picture
+
+
+def _style(source: Any, style: int) -> Iterator[_Known]:
+    picture, text, name = source.stored(style)
+    yield Described(name, text), picture
+
+
+def _shard(path: Path, number: int, samples: Iterable[_Sample], limit: int) -> NDArray[np.void]:
+    """Write samples until the shard has ``limit`` bytes; the result is their rows."""
+    rows: list[tuple[int, ...]] = []
+    with atomic_path(path, sync=True) as temporary, temporary.open("wb") as file:
+        for group, index, about, picture in samples:
+            key, text = f"{group:06d}/{index:06d}", msgspec.json.encode(about)
+            members, end, position, size = _member(f"{key}.json", text), len(text), 0, (0, 0)
+            if picture is not None:
+                content = picture if isinstance(picture, bytes) else picture.read_bytes()
+                suffix, size = _kind(content, f"{key} of {path.name}")
+                position, end = len(members), len(members) + len(content)
+                members += _member(f"{key}.{suffix}", content)
+            header = tarfile.BLOCKSIZE
+            crc = zlib.crc32(members[header : header + end])
+            rows.append((group, number, file.tell() + header, end, len(text), position, crc, *size))
+            file.write(members)
+            if file.tell() >= limit:
+                break
+        file.write(bytes(2 * tarfile.BLOCKSIZE))  # the end of an archive
+    return np.array(rows, ROW)
+
+
+def _member(name: str, content: bytes) -> bytes:
+    """A file as a tar archive holds it: a header of one block, and blocks of content."""
+    about = tarfile.TarInfo(name)
+    about.size = len(content)
+    return about.tobuf(tarfile.USTAR_FORMAT) + content + bytes(-len(content) % tarfile.BLOCKSIZE)
+
+
+def _kind(content: bytes, name: str) -> tuple[str, tuple[int, int]]:
+    """The suffix of an image, its width and height; what is no image is kept, for it is skipped where it is read."""
+    try:
+        with opened(content, name) as image:
+            suffix = (image.format or "bin").lower()
+        return suffix, image_size(content, name)
+    except UserError as error:
+        logger.warning("packed as it is: %s", one_line(error))
+        return "bin", (0, 0)
