@@ -30,7 +30,7 @@ from anystyle.types import OnProgress, Progress, no_progress
 from anystyle_datasets.files import pictures_below
 from anystyle_datasets.packing import BEGUN
 from anystyle_datasets.re10k import Re10kScenes
-from anystyle_datasets.shards import INDEX, Described, Photograph, Shards
+from anystyle_datasets.shards import INDEX, ROWS, SceneSample, Shards, StyleSample
 from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
 
 P = TypeVar("P", Path, bytes)
@@ -80,7 +80,7 @@ def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decod
 
 def is_sharded(root: Path) -> bool:
     """Whether shards lie in a folder, or are being written there."""
-    return any((root / name).is_file() for name in (INDEX, BEGUN))
+    return any((root / name).is_file() for name in (INDEX, ROWS, BEGUN))
 
 
 def check_shards(
@@ -93,12 +93,12 @@ def check_shards(
     scenes = kind == "scenes"
     blocks = map(shards.group, range(len(names))) if scenes else np.array_split(rows, -(-len(rows) // 64))
     for number, block in enumerate(blocks):
-        samples = list(_intact(shards, block, Photograph if scenes else Described, report))
+        samples = list(_intact(shards, block, SceneSample if scenes else StyleSample, report))
         pictures = [(shards.place(row), picture) for row, _, picture in samples if picture is not None]
         good = _look([picture for _, picture in pictures], report, decode, [place for place, _ in pictures])
         for _, about, _ in samples:
-            report.posed += isinstance(about, Photograph) and about.world_from_camera is not None
-            report.texts += isinstance(about, Described) and bool(about.text)
+            report.posed += isinstance(about, SceneSample) and about.world_from_camera is not None
+            report.texts += isinstance(about, StyleSample) and bool(about.text)
         if scenes:
             _count(report, names[number], len(good), min_views)
         on_progress(Progress.count("checking", number + 1, len(names) if scenes else -(-len(rows) // 64)))

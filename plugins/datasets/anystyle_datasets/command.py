@@ -121,6 +121,8 @@ def check_command(arguments: argparse.Namespace) -> None:
     root, write = arguments.path, arguments.write
     start = time.perf_counter()
     if isinstance(root, str) or is_sharded(root):
+        if arguments.against is not None:
+            raise UserError("--against compares folders of pictures, not shards")
         report = check_shards(str(root), arguments.min_views, not arguments.headers, progress_lines())
         print("\n".join([*lines(report), f"checked in {time.perf_counter() - start:.1f} s"]))
         if report.damaged:

@@ -19,7 +19,7 @@ from anystyle.io.atomic import PARTIAL, atomic_path, folder_lock, write_json
 from anystyle.io.documents import kept_json
 from anystyle.io.images import Picture, opened
 from anystyle.types import OnProgress, Progress, no_progress
-from anystyle_datasets.shards import INDEX, ROW, ROWS, Described, Header, Photograph, shard_name
+from anystyle_datasets.shards import INDEX, ROW, ROWS, SceneSample, ShardIndex, StyleSample, shard_name
 
 logger = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ BEGUN = "begun.json"
 
 def pack(
     source: Any, out: Path, *, options: dict[str, Any], megabytes: int = 1024, on_progress: OnProgress = no_progress
-) -> Header:
+) -> ShardIndex:
     """Write the samples of a source to shards, their pictures as they are stored.
 
     Finished shards are kept: an interrupted call is continued by the same call, to the same bytes. A scene that cannot
@@ -48,16 +48,17 @@ def pack(
     if not isinstance(source, StoredScenes | StoredStyles):
         raise UserError(f"{type(source).__name__} makes its pictures: there are no files of them to put into shards")
     kind, name = ("scenes", source.name) if isinstance(source, StoredScenes) else ("styles", _named(source))
-    header = Header(kind, [name(group) for group in range(len(source))], options, megabytes)
+    header = ShardIndex(kind, [name(group) for group in range(len(source))], options, megabytes)
     with folder_lock(out, f"another `anystyle data shard` is at work in {out}"):
-        known = kept_json(out / INDEX, Header) or kept_json(out / BEGUN, Header)
+        known = kept_json(out / INDEX, ShardIndex) or kept_json(out / BEGUN, ShardIndex)
         if _plan(known) != _plan(header) if known else any(out.glob("*.tar")):
             raise UserError(f"{out} holds shards of other samples or options; choose another folder, or remove it")
-        if not (out / INDEX).is_file():
-            for partial in out.glob(f"{PARTIAL}*"):  # of a process that was killed
-                partial.unlink()
-            write_json(out / BEGUN, msgspec.to_builtins(header))
-            _write(out, header, source, on_progress)
+        if known and known.shards:
+            return known
+        for partial in out.glob(f"{PARTIAL}*"):  # of a process that was killed
+            partial.unlink()
+        write_json(out / BEGUN, msgspec.to_builtins(header))
+        _write(out, header, source, on_progress)
     return header
 
 
@@ -65,11 +66,11 @@ def _named(styles: StoredStyles) -> Callable[[int], str]:
     return lambda style: styles.stored(style).name
 
 
-def _plan(header: Header) -> tuple[Any, ...]:
+def _plan(header: ShardIndex) -> tuple[Any, ...]:
     return header.version, header.kind, header.names, header.options, header.megabytes
 
 
-def _write(out: Path, header: Header, source: StoredScenes | StoredStyles, on_progress: OnProgress) -> None:
+def _write(out: Path, header: ShardIndex, source: StoredScenes | StoredStyles, on_progress: OnProgress) -> None:
     done: list[NDArray[np.void]] = []
     while (part := _part(out, len(done))).is_file():
         done.append(np.load(part))
@@ -124,16 +125,16 @@ def _photographs(source: Any, scene: int) -> Iterator[_Known]:
         logger.warning("%s is packed without views: %s", source.name(scene), one_line(error))
         return
     for view, (picture, name) in enumerate(zip(shots.pictures, shots.names, strict=True)):
-        about = Photograph(name)
+        about = SceneSample(name)
         if shots.cameras:
             camera = shots.cameras[view]
-            about = Photograph(name, camera.world_from_camera.tolist(), camera.intrinsics.tolist(), camera.size)
+            about = SceneSample(name, camera.world_from_camera.tolist(), camera.intrinsics.tolist(), camera.size)
         yield about, picture
 
 
 def _style(source: Any, style: int) -> Iterator[_Known]:
     picture, text, name = source.stored(style)
-    yield Described(name, text), picture
+    yield StyleSample(name, text), picture
 
 
 def _shard(path: Path, number: int, samples: Iterable[_Sample], limit: int) -> NDArray[np.void]:

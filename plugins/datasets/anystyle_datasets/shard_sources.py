@@ -13,7 +13,7 @@ from anystyle.data.stored import Shots, StoredScenes, StoredStyle, StoredStyles
 from anystyle.data.style_folder import FolderStyles
 from anystyle.ranges import AtLeastOne
 from anystyle_datasets.packing import pack
-from anystyle_datasets.shards import Described, Photograph, Shards
+from anystyle_datasets.shards import SceneSample, Shards, StyleSample
 
 
 class ShardScenes(StoredScenes):
@@ -61,7 +61,7 @@ class ShardScenes(StoredScenes):
     def select(self, scene: int, views: Sequence[int]) -> Shots:
         rows = self.shards.group(scene)
         sizes = [(width, height) for width, height in rows[["width", "height"]].tolist() if width]
-        samples = self.shards.read(rows[list(views)], Photograph)
+        samples = self.shards.read(rows[list(views)], SceneSample)
         return Shots(
             [picture or b"" for _, picture in samples],
             [about.name for about, _ in samples],
@@ -70,7 +70,7 @@ class ShardScenes(StoredScenes):
         )
 
 
-def _camera(about: Photograph) -> StoredCamera:
+def _camera(about: SceneSample) -> StoredCamera:
     return StoredCamera(np.array(about.world_from_camera), np.array(about.intrinsics), about.size or (1, 1))
 
 
@@ -109,5 +109,5 @@ class ShardStyles(StoredStyles):
         return len(self.shards.header.names)
 
     def stored(self, style: int) -> StoredStyle:
-        ((about, picture),) = self.shards.read(self.shards.group(style), Described)
+        ((about, picture),) = self.shards.read(self.shards.group(style), StyleSample)
         return StoredStyle(picture, about.text, about.name)

@@ -1,9 +1,10 @@
 """Samples in shards: tar files of WebDataset's layout, with an index of the bytes in them.
 
-A folder of shards, on a disk or in object storage, holds ``000000.tar`` and so on, ``index.json`` (:class:`Header`) and
-``index.npy``, a row of :data:`ROW` for each sample. A sample is the members ``GROUP/NUMBER.json``, what is known of it,
-and ``GROUP/NUMBER.SUFFIX``, its picture as it was, where it has one; its group is a scene, or a style alone. The bytes
-of a sample are in one piece, so that any of them is one ranged request, and WebDataset reads all of them in order.
+A folder of shards, on a disk or in object storage, holds ``000000.tar`` and so on, ``index.json``, a
+:class:`ShardIndex`, and ``index.npy``, a row of :data:`ROW` for each sample. A sample is the members
+``GROUP/NUMBER.json``, what is known of it, and ``GROUP/NUMBER.SUFFIX``, its picture as it was, where it has one; its
+group is a scene, or a style alone. The bytes of a sample are in one piece, so that any of them is one request of a
+range, and WebDataset reads all of them in order.
 """
 
 import io
@@ -33,7 +34,7 @@ PAUSES = (0, 1, 4)
 """Seconds before each request of the same bytes; then storage is taken to be out of reach."""
 
 
-class Header(msgspec.Struct):
+class ShardIndex(msgspec.Struct):
     """The content of ``index.json``."""
 
     kind: Kind
@@ -50,7 +51,7 @@ class Header(msgspec.Struct):
     version: int = VERSION
 
 
-class Photograph(msgspec.Struct, omit_defaults=True):
+class SceneSample(msgspec.Struct, omit_defaults=True):
     """What is known of a sample of a scene; the camera is as in :class:`anystyle.contracts.StoredCamera`."""
 
     name: str
@@ -59,7 +60,7 @@ class Photograph(msgspec.Struct, omit_defaults=True):
     size: tuple[int, int] | None = None
 
 
-class Described(msgspec.Struct):
+class StyleSample(msgspec.Struct):
     """What is known of a style."""
 
     name: str
@@ -81,7 +82,7 @@ class Shards:
     def __init__(self, root: str, kind: Kind | None = None) -> None:
         self.root = root.rstrip("/")
         where = f"{self.root}/{INDEX}"
-        self.header: Header = parse_json(self._whole(INDEX), Header, source=where, what="index of shards")
+        self.header: ShardIndex = parse_json(self._whole(INDEX), ShardIndex, source=where, what="index of shards")
         if self.header.version != VERSION or kind not in (None, self.header.kind):
             found = f"shards of {self.header.kind}, version {self.header.version}"
             raise UserError(f"{where} is of {found}; {kind or 'shards'} of version {VERSION} are expected")
@@ -108,7 +109,9 @@ class Shards:
         """
         samples = []
         for row, content in zip(rows, self._ranges(rows), strict=True):
-            if len(content) != row["length"] or zlib.crc32(content) != row["crc"]:
+            if len(content) > row["length"]:
+                raise UserError(f"{self.place(row)}: {len(content)} bytes came; the server has to answer ranges")
+            if zlib.crc32(content) != row["crc"]:
                 raise UserError(f"{self.place(row)}: the shard is damaged; copy it again, or write it again")
             about: T = parse_json(content[: row["text"]], shape, source=str(self.place(row)))
             samples.append((about, content[row["picture"] :] if row["picture"] else None))
