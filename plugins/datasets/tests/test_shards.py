@@ -1,18 +1,12 @@
 """Shards give what the folders gave that they were written from, bit for bit, from a disk and from a server."""
 
-import functools
-import http.server
 import json
 import logging
 import multiprocessing
 import os
-import re
 import shutil
 import signal
 import tarfile
-import threading
-from pathlib import Path
-from typing import ClassVar
 
 import fsspec
 import numpy as np
@@ -34,6 +28,7 @@ from anystyle_datasets.packing import pack
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.shard_sources import ShardScenes, ShardStyles
 from anystyle_datasets.wikiart import WikiArtStyles
+from tests.support.range_server import Ranges, Whole, serving
 
 SCENES = 6
 
@@ -88,49 +83,10 @@ def packed(folder, sources):
     return out
 
 
-class Ranges(http.server.SimpleHTTPRequestHandler):
-    """A server of files that answers ranges, as storage does; Python's own sends whole files."""
-
-    protocol_version = "HTTP/1.1"
-    log: ClassVar[list[tuple[str, int]]] = []
-    busy = 0
-
-    def log_message(self, *args):
-        pass
-
-    def do_GET(self):
-        path = Path(self.translate_path(self.path))
-        if not path.is_file() or Ranges.busy:
-            Ranges.busy -= path.is_file()
-            self.send_error(503 if path.is_file() else 404)
-            return
-        content = path.read_bytes()
-        wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-        if wanted:
-            first, last = int(wanted[1]), int(wanted[2])
-            self.send_response(206)
-            self.send_header("Content-Range", f"bytes {first}-{last}/{len(content)}")
-            content = content[first : last + 1]
-        else:
-            self.send_response(200)
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
-        Ranges.log.append((self.path, len(content)))
-
-
-def serving(root, handler):
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(handler, directory=str(root)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    return server, f"http://127.0.0.1:{server.server_address[1]}"
-
-
 @pytest.fixture(scope="module")
 def address(packed):
-    server, address = serving(packed, Ranges)
-    yield address
-    server.shutdown()
-    server.server_close()
+    with serving(packed) as address:
+        yield address
 
 
 @pytest.fixture
@@ -233,12 +189,8 @@ def test_a_busy_server_is_asked_again_and_one_without_ranges_is_told(packed, add
     with pytest.raises(UserError, match=r"cannot be read .*503"):
         scenes.read(0, [0])
     monkeypatch.setattr(Ranges, "busy", 0)
-    quiet = type("Quiet", (http.server.SimpleHTTPRequestHandler,), {"log_message": lambda *_: None})
-    server, without = serving(packed, quiet)
-    with pytest.raises(UserError, match="the server has to answer ranges"):
+    with serving(packed, Whole) as without, pytest.raises(UserError, match="the server has to answer ranges"):
         ShardScenes(root=f"{without}/scenes").read(0, [0])
-    server.shutdown()
-    server.server_close()
 
 
 def test_any_file_system_of_fsspec_will_do(packed):
