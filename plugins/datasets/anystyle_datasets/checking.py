@@ -88,8 +88,8 @@ def check_shards(
 ) -> FolderReport:
     """Read every byte of a folder of shards, which may be an address, and hold it against the index."""
     shards = Shards(root)
-    kind, rows, names = shards.header.kind, shards.rows, shards.header.names
-    report = FolderReport(kind, words(**{kind: "shards", f"{kind}__root": root}), shards=len(shards.header.shards))
+    kind, rows, names = shards.index.kind, shards.rows, shards.index.names
+    report = FolderReport(kind, words(**{kind: "shards", f"{kind}__root": root}), shards=len(shards.index.shards))
     scenes = kind == "scenes"
     blocks = map(shards.group, range(len(names))) if scenes else np.array_split(rows, -(-len(rows) // 64))
     for number, block in enumerate(blocks):

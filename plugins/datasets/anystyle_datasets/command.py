@@ -209,10 +209,8 @@ def shard_command(arguments: argparse.Namespace, overrides: Sequence[str]) -> No
         out = arguments.out / key
         node: Any = OmegaConf.to_container(config[key], resolve=True, enum_to_str=True)
         options = {name: node[name] for name in OPTIONS if name in node}
-        header = pack(source, out, options=options, megabytes=arguments.megabytes, on_progress=progress_lines())
-        print(
-            f"{key:<9} {len(header.names)} in {len(header.shards)} shards, {sum(header.shards) / 2**20:,.1f} MiB: {out}"
-        )
+        index = pack(source, out, options=options, megabytes=arguments.megabytes, on_progress=progress_lines())
+        print(f"{key:<9} {len(index.names)} in {len(index.shards)} shards, {sum(index.shards) / 2**20:,.1f} MiB: {out}")
         use |= {key: "shards", f"{key}__root": out}
     print(f"next      anystyle train {words(**use)}")
 

@@ -3,7 +3,7 @@
 import logging
 import tarfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from anystyle.contracts import SceneSource, StyleSource
 from anystyle.data.images import image_size
 from anystyle.data.stored import StoredScenes, StoredStyles
 from anystyle.errors import UserError, one_line
@@ -28,7 +29,12 @@ BEGUN = "begun.json"
 
 
 def pack(
-    source: Any, out: Path, *, options: dict[str, Any], megabytes: int = 1024, on_progress: OnProgress = no_progress
+    source: SceneSource | StyleSource,
+    out: Path,
+    *,
+    options: dict[str, Any],
+    megabytes: int = 1024,
+    on_progress: OnProgress = no_progress,
 ) -> ShardIndex:
     """Write the samples of a source to shards, their pictures as they are stored.
 
@@ -45,50 +51,49 @@ def pack(
     Raises:
         UserError: The source's pictures are not stored, or the folder holds shards of another one.
     """
-    if not isinstance(source, StoredScenes | StoredStyles):
+    if isinstance(source, StoredScenes):
+        kind, names = "scenes", [source.name(scene) for scene in range(len(source))]
+    elif isinstance(source, StoredStyles):
+        kind, names = "styles", [source.stored(style).name for style in range(len(source))]
+    else:
         raise UserError(f"{type(source).__name__} makes its pictures: there are no files of them to put into shards")
-    kind, name = ("scenes", source.name) if isinstance(source, StoredScenes) else ("styles", _named(source))
-    header = ShardIndex(kind, [name(group) for group in range(len(source))], options, megabytes)
+    index = ShardIndex(kind, names, options, megabytes)
     with folder_lock(out, f"another `anystyle data shard` is at work in {out}"):
         known = kept_json(out / INDEX, ShardIndex) or kept_json(out / BEGUN, ShardIndex)
-        if _plan(known) != _plan(header) if known else any(out.glob("*.tar")):
+        if _plan(known) != _plan(index) if known else any(out.glob("*.tar")):
             raise UserError(f"{out} holds shards of other samples or options; choose another folder, or remove it")
         if known and known.shards:
             return known
         for partial in out.glob(f"{PARTIAL}*"):  # of a process that was killed
             partial.unlink()
-        write_json(out / BEGUN, msgspec.to_builtins(header))
-        _write(out, header, source, on_progress)
-    return header
+        write_json(out / BEGUN, msgspec.to_builtins(index))
+        _write(out, index, source, on_progress)
+    return index
 
 
-def _named(styles: StoredStyles) -> Callable[[int], str]:
-    return lambda style: styles.stored(style).name
+def _plan(index: ShardIndex) -> tuple[Any, ...]:
+    return index.version, index.kind, index.names, index.options, index.megabytes
 
 
-def _plan(header: ShardIndex) -> tuple[Any, ...]:
-    return header.version, header.kind, header.names, header.options, header.megabytes
-
-
-def _write(out: Path, header: ShardIndex, source: StoredScenes | StoredStyles, on_progress: OnProgress) -> None:
+def _write(out: Path, index: ShardIndex, source: StoredScenes | StoredStyles, on_progress: OnProgress) -> None:
     done: list[NDArray[np.void]] = []
-    while (part := _part(out, len(done))).is_file():
+    while (part := _part(out, len(done))).is_file() and part.with_suffix(".tar").is_file():
         done.append(np.load(part))
     group = int(done[-1]["group"][-1]) if done else 0
     # A scene may begin in one shard and end in the next.
     skipped = sum(int((rows["group"] == group).sum()) for rows in done)
     left = islice(_samples(source, group, on_progress), skipped, None)
     for first in left:
-        done.append(_shard(out / shard_name(len(done)), len(done), chain([first], left), header.megabytes << 20))
+        done.append(_shard(out / shard_name(len(done)), len(done), chain([first], left), index.megabytes << 20))
         with atomic_path(_part(out, len(done) - 1), sync=True) as temporary:
             np.save(temporary, done[-1])
     if not done:
-        raise UserError(f"none of {len(header.names)} {header.kind} can be read")
+        raise UserError(f"none of {len(index.names)} {index.kind} can be read")
     with atomic_path(out / ROWS, sync=True) as temporary:
         np.save(temporary, np.concatenate(done))
-        header.crc = zlib.crc32(temporary.read_bytes())
-    header.shards = [(out / shard_name(number)).stat().st_size for number in range(len(done))]
-    write_json(out / INDEX, msgspec.to_builtins(header))
+        index.crc = zlib.crc32(temporary.read_bytes())
+    index.shards = [(out / shard_name(number)).stat().st_size for number in range(len(done))]
+    write_json(out / INDEX, msgspec.to_builtins(index))
     for path in (out / BEGUN, *(_part(out, number) for number in range(len(done)))):
         path.unlink()
 
@@ -96,9 +101,6 @@ def _write(out: Path, header: ShardIndex, source: StoredScenes | StoredStyles, o
 def _part(out: Path, number: int) -> Path:
     """The rows of a shard, which are there when it is finished."""
     return (out / shard_name(number)).with_suffix(".npy")
-
-
-_Known = tuple[msgspec.Struct, Picture | None]
 
 
 class _Sample(NamedTuple):
@@ -110,19 +112,22 @@ class _Sample(NamedTuple):
 
 def _samples(source: StoredScenes | StoredStyles, first: int, on_progress: OnProgress) -> Iterator[_Sample]:
     """The samples of all groups, from ``first`` on."""
-    samples = _photographs if isinstance(source, StoredScenes) else _style
     for group in range(first, len(source)):
         on_progress(Progress.count("packing", group, len(source)))
-        for number, (about, picture) in enumerate(samples(source, group)):
+        for number, (about, picture) in enumerate(_group(source, group)):
             yield _Sample(group, number, about, picture)
     on_progress(Progress.count("packing", len(source), len(source)))
 
 
-def _photographs(source: Any, scene: int) -> Iterator[_Known]:
+def _group(source: StoredScenes | StoredStyles, group: int) -> Iterator[tuple[msgspec.Struct, Picture | None]]:
+    if isinstance(source, StoredStyles):
+        picture, text, name = source.stored(group)
+        yield StyleSample(name, text), picture
+        return
     try:
-        shots = source.shots(scene)
+        shots = source.shots(group)
     except UserError as error:
-        logger.warning("%s is packed without views: %s", source.name(scene), one_line(error))
+        logger.warning("%s is packed without views: %s", source.name(group), one_line(error))
         return
     for view, (picture, name) in enumerate(zip(shots.pictures, shots.names, strict=True)):
         about = SceneSample(name)
@@ -130,11 +135,6 @@ def _photographs(source: Any, scene: int) -> Iterator[_Known]:
             camera = shots.cameras[view]
             about = SceneSample(name, camera.world_from_camera.tolist(), camera.intrinsics.tolist(), camera.size)
         yield about, picture
-
-
-def _style(source: Any, style: int) -> Iterator[_Known]:
-    picture, text, name = source.stored(style)
-    yield StyleSample(name, text), picture
 
 
 def _shard(path: Path, number: int, samples: Iterable[_Sample], limit: int) -> NDArray[np.void]:
@@ -149,9 +149,9 @@ def _shard(path: Path, number: int, samples: Iterable[_Sample], limit: int) -> N
                 suffix, size = _kind(content, f"{key} of {path.name}")
                 position, end = len(members), len(members) + len(content)
                 members += _member(f"{key}.{suffix}", content)
-            header = tarfile.BLOCKSIZE
-            crc = zlib.crc32(members[header : header + end])
-            rows.append((group, number, file.tell() + header, end, len(text), position, crc, *size))
+            begin = tarfile.BLOCKSIZE
+            crc = zlib.crc32(members[begin : begin + end])
+            rows.append((group, number, file.tell() + begin, end, len(text), position, crc, *size))
             file.write(members)
             if file.tell() >= limit:
                 break

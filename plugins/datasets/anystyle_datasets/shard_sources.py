@@ -36,7 +36,7 @@ class ShardScenes(StoredScenes):
         patch_size: int = 14,
     ) -> None:
         self.shards = Shards(root, "scenes")
-        stored = self.shards.header.options
+        stored = self.shards.index.options
         self.short_side = short_side or stored.get("short_side") or 448
         self.multiple = multiple or stored.get("multiple") or patch_size
 
@@ -47,7 +47,7 @@ class ShardScenes(StoredScenes):
         return {"root": str(folder / "shards"), "short_side": 32, "multiple": 8}
 
     def __len__(self) -> int:
-        return len(self.shards.header.names)
+        return len(self.shards.index.names)
 
     def name(self, scene: int) -> str:
         return self.shards.name(scene)
@@ -94,7 +94,7 @@ class ShardStyles(StoredStyles):
         crop: Literal["centre", "random"] | None = None,
     ) -> None:
         self.shards = Shards(root, "styles")
-        stored = self.shards.header.options
+        stored = self.shards.index.options
         self.size = size or stored.get("size") or 256
         self.crop = crop or stored.get("crop") or "centre"
 
@@ -106,7 +106,7 @@ class ShardStyles(StoredStyles):
         return {"root": str(folder / "shards")}
 
     def __len__(self) -> int:
-        return len(self.shards.header.names)
+        return len(self.shards.index.names)
 
     def stored(self, style: int) -> StoredStyle:
         ((about, picture),) = self.shards.read(self.shards.group(style), StyleSample)

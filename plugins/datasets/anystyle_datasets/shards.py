@@ -82,19 +82,19 @@ class Shards:
     def __init__(self, root: str, kind: Kind | None = None) -> None:
         self.root = root.rstrip("/")
         where = f"{self.root}/{INDEX}"
-        self.header: ShardIndex = parse_json(self._whole(INDEX), ShardIndex, source=where, what="index of shards")
-        if self.header.version != VERSION or kind not in (None, self.header.kind):
-            found = f"shards of {self.header.kind}, version {self.header.version}"
+        self.index: ShardIndex = parse_json(self._whole(INDEX), ShardIndex, source=where, what="index of shards")
+        if self.index.version != VERSION or kind not in (None, self.index.kind):
+            found = f"shards of {self.index.kind}, version {self.index.version}"
             raise UserError(f"{where} is of {found}; {kind or 'shards'} of version {VERSION} are expected")
         self.rows = self._rows(self._whole(ROWS))
-        self._first = np.searchsorted(self.rows["group"], np.arange(len(self.header.names) + 1))
+        self._first = np.searchsorted(self.rows["group"], np.arange(len(self.index.names) + 1))
         self._check_sizes()
 
     def name(self, group: int) -> str:
         """The name of a group."""
-        if not 0 <= group < len(self.header.names):
-            raise UserError(f"{self.header.kind[:-1]} {group}: there are {len(self.header.names)}, counted from 0")
-        return self.header.names[group]
+        if not 0 <= group < len(self.index.names):
+            raise UserError(f"{self.index.kind[:-1]} {group}: there are {len(self.index.names)}, counted from 0")
+        return self.index.names[group]
 
     def group(self, group: int) -> NDArray[np.void]:
         """The rows of a group."""
@@ -143,12 +143,12 @@ class Shards:
     def _rows(self, content: bytes) -> NDArray[np.void]:
         """The rows, which must be those that the index was written with, and lie in the shards."""
         rows: NDArray[Any] = np.empty(0)
-        if zlib.crc32(content) == self.header.crc:
+        if zlib.crc32(content) == self.index.crc:
             rows = np.load(io.BytesIO(content), allow_pickle=False)
-        sizes = np.array([*self.header.shards, 0], dtype=np.uint64)
+        sizes = np.array([*self.index.shards, 0], dtype=np.uint64)
         if (
             rows.dtype != ROW
-            or (rows["group"] >= len(self.header.names)).any()
+            or (rows["group"] >= len(self.index.names)).any()
             or (rows["start"] + rows["length"] > sizes[np.minimum(rows["shard"], len(sizes) - 1)]).any()
         ):
             raise UserError(f"{self.root}/{ROWS} does not belong to {INDEX}; copy both again")
@@ -157,12 +157,12 @@ class Shards:
     def _check_sizes(self) -> None:
         """Whether all shards are there, whole."""
         fs, path = self._storage()
-        names = [shard_name(number) for number in range(len(self.header.shards))]
+        names = [shard_name(number) for number in range(len(self.index.shards))]
         try:
             sizes = fs.sizes([f"{path}/{name}" for name in names])
         except Exception as error:
             raise UserError(f"{self.root}: a shard is not there, or out of reach ({_reason(error)})") from None
-        for name, size, expected in zip(names, sizes, self.header.shards, strict=True):
+        for name, size, expected in zip(names, sizes, self.index.shards, strict=True):
             if size is not None and size != expected:  # some servers do not tell
                 raise UserError(f"{self.root}/{name} has {size:,} bytes of {expected:,}; copy it again")
 

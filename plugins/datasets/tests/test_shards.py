@@ -151,6 +151,11 @@ def test_options_given_replace_those_of_the_source(folder, packed):
     assert torch.equal(styles.read(2).image, FolderStyles(root=str(folder / "styles"), size=20).read(2).image)
 
 
+FORKS = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+"""From Python 3.12 on; the threads are the server's and fsspec's, and neither outlives a fork."""
+
+
+@FORKS
 def test_a_training_sees_the_same_batches_whoever_asks_and_from_any_step_on(sources, address, caplog):
     from_folder, from_shards = (
         batches(*sources),
@@ -258,6 +263,7 @@ def killed(source, out, moment):
     pack(source, out, options={"short_side": 56, "multiple": None}, megabytes=1, on_progress=die)
 
 
+@FORKS
 def test_killed_at_any_scene_it_goes_on_to_the_same_bytes(sources, packed, tmp_path):
     source, context = sources[0], multiprocessing.get_context("fork")
     for moment in range(1, len(source)):
