@@ -167,7 +167,7 @@ def _member(name: str, content: bytes) -> bytes:
 
 
 def _kind(content: bytes, name: str) -> tuple[str, tuple[int, int]]:
-    """The suffix of an image, its width and height; what is no image is kept, for it is skipped where it is read."""
+    """The suffix of an image, its width and height; other content is kept, and skipped where it is read."""
     try:
         with opened(content, name) as image:
             suffix = (image.format or "bin").lower()

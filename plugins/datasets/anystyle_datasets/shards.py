@@ -113,7 +113,7 @@ class Shards:
                 raise UserError(f"{self.place(row)}: {len(content)} bytes came; the server has to answer ranges")
             if zlib.crc32(content) != row["crc"]:
                 raise UserError(f"{self.place(row)}: the shard is damaged; copy it again, or write it again")
-            about: T = parse_json(content[: row["text"]], shape, source=str(self.place(row)))
+            about: T = parse_json(content[: row["text"]], shape, source=self.place(row))
             samples.append((about, content[row["picture"] :] if row["picture"] else None))
         return samples
 
