@@ -165,6 +165,9 @@ def test_command_is_understood(page, line):
     if command == "nerfstudio":
         split(getattr(importlib.import_module("anystyle_formats.nerfstudio.command"), f"{rest[0]}_parser")(), rest[1:])
         return
+    if command == "data" and rest[0] == "shard":
+        _compose("train", None, rest[2:])
+        return
     if command == "data":
         with pytest.MonkeyPatch.context() as patch, pytest.raises(_ParsedError):
             patch.setattr("anystyle_datasets.command.parse", _parse_only)

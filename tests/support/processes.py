@@ -53,12 +53,17 @@ def command(
 
 def together(count: int, words: Sequence[str], out: Path) -> list[BaseProcess]:
     """The processes of one distributed training, as torchrun starts them."""
+    places = meeting(count)
+    words = (*words, f"trainer.devices={count}")
+    return [start(words, out, places | {"LOCAL_RANK": str(rank), "RANK": str(rank)}) for rank in range(count)]
+
+
+def meeting(count: int) -> dict[str, str]:
+    """Where so many processes meet, as torchrun tells them."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    places = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": str(count)}
-    words = (*words, f"trainer.devices={count}")
-    return [start(words, out, places | {"LOCAL_RANK": str(rank), "RANK": str(rank)}) for rank in range(count)]
+    return {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": str(count)}
 
 
 def said(out: Path) -> str:

@@ -84,6 +84,7 @@ def test_a_loss_that_explodes_stops_the_run(tmp_path):
     [
         (("trainer.precision=16-mixed",), "use bf16-mixed"),
         (("trainer.strategy=dpp",), "dpp"),
+        (("trainer.strategy=fsdp",), "`fsdp` requires a GPU accelerator"),
         (("+trainer.max_epochs=3",), "multiple values for keyword argument 'max_epochs'"),
         (("trainer.max_steps=0",), "trainer.max_steps=0: expected int >= 1"),
         (("trainer.gradient_clip_val=-1",), "trainer.gradient_clip_val=-1: expected float >= 0"),

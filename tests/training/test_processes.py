@@ -11,7 +11,8 @@ import torch
 from safetensors.torch import load_file
 
 from anystyle.training.run import train
-from tests.support.processes import said, start, together
+from tests.support.fully_sharded import steps as steps_divided
+from tests.support.processes import forking, meeting, said, start, together
 from tests.support.training_cases import STYLIZATION, configuration
 
 TOY = (*(word for word in STYLIZATION if not word.startswith("trainer.max_steps=")), "export.half=false")
@@ -56,6 +57,21 @@ def test_two_processes_that_are_killed_go_on_and_end_where_one_does(tmp_path):
     finish(*together(2, both, out))
     train(configuration(words, tmp_path / "one"), tmp_path / "one")
     same(branch(tmp_path / "one"), branch(out), 1e-5)
+
+
+@pytest.mark.slow
+def test_two_processes_that_divide_the_branch_between_them_take_the_steps_of_one(tmp_path):
+    words = (*TOY, "styles.num_styles=6", "trainer.max_steps=3")
+    places = meeting(2)
+    divided = [(words, tmp_path, rank, places, 2) for rank in range(2)]
+    started = [forking().Process(target=steps_divided, args=each) for each in (*divided, (words, tmp_path / "one"))]
+    for process in started:
+        process.start()
+    finish(*started)
+    one, *two = (torch.load(tmp_path / name, weights_only=True) for name in ("one/0.pt", "0.pt", "1.pt"))
+    for each in two:
+        same(one["weights"], each["weights"], 1e-5)
+        assert one["held"] == 1 and each["held"] < 0.6
 
 
 @pytest.mark.slow

@@ -4,14 +4,16 @@ import os
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from anystyle.data.captions import captions_file, read_captions
@@ -26,7 +28,9 @@ from anystyle.io.images import Picture
 from anystyle.registry.compose import override
 from anystyle.types import OnProgress, Progress, no_progress
 from anystyle_datasets.files import pictures_below
+from anystyle_datasets.packing import BEGUN
 from anystyle_datasets.re10k import Re10kScenes
+from anystyle_datasets.shards import INDEX, ROWS, SceneSample, Shards, StyleSample
 from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
 
 P = TypeVar("P", Path, bytes)
@@ -56,6 +60,8 @@ class FolderReport:
     posed: int = 0  # images with a camera
     texts: int = 0  # images with a description
     problems: list[str] = field(default_factory=list)
+    shards: int = 0
+    damaged: int = 0  # samples of shards whose bytes are not those that were written
 
 
 def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decode: bool = True) -> FolderReport:
@@ -70,6 +76,49 @@ def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decod
     chosen = layout or guess(root)
     readers = {"scenes": _scenes, "re10k": _re10k, "styles": _styles, "wikiart": _wikiart}
     return readers[chosen](root, min_views, decode)
+
+
+def is_sharded(root: Path) -> bool:
+    """Whether shards lie in a folder, or are being written there."""
+    return any((root / name).is_file() for name in (INDEX, ROWS, BEGUN))
+
+
+def check_shards(
+    root: str, min_views: int = 2, decode: bool = True, on_progress: OnProgress = no_progress
+) -> FolderReport:
+    """Read every byte of a folder of shards, which may be an address, and hold it against the index."""
+    shards = Shards(root)
+    kind, rows, names = shards.index.kind, shards.rows, shards.index.names
+    report = FolderReport(kind, words(**{kind: "shards", f"{kind}__root": root}), shards=len(shards.index.shards))
+    scenes = kind == "scenes"
+    blocks = map(shards.group, range(len(names))) if scenes else np.array_split(rows, -(-len(rows) // 64))
+    for number, block in enumerate(blocks):
+        samples = list(_intact(shards, block, SceneSample if scenes else StyleSample, report))
+        pictures = [(shards.place(row), picture) for row, _, picture in samples if picture is not None]
+        good = _look([picture for _, picture in pictures], report, decode, [place for place, _ in pictures])
+        for _, about, _ in samples:
+            report.posed += isinstance(about, SceneSample) and about.world_from_camera is not None
+            report.texts += isinstance(about, StyleSample) and bool(about.text)
+        if scenes:
+            _count(report, names[number], len(good), min_views)
+        on_progress(Progress.count("checking", number + 1, len(names) if scenes else -(-len(rows) // 64)))
+    return report
+
+
+def _intact(
+    shards: Shards, rows: NDArray[np.void], shape: type[msgspec.Struct], report: FolderReport
+) -> Iterator[tuple[np.void, msgspec.Struct, bytes | None]]:
+    """Samples with their rows; damaged ones, which are sought one by one where there are some, are problems."""
+    try:
+        for row, sample in zip(rows, shards.read(rows, shape), strict=True):
+            yield row, *sample
+    except UserError as error:
+        if len(rows) > 1:
+            for index in range(len(rows)):
+                yield from _intact(shards, rows[index : index + 1], shape, report)
+        else:
+            report.problems.append(str(error))
+            report.damaged += 1
 
 
 def locate(root: Path) -> Path:

@@ -7,16 +7,31 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from inspect import signature
 from pathlib import Path
+from typing import Any
 
-from anystyle.cli.arguments import new_parser, parse, subcommand
+from omegaconf import OmegaConf
+
+from anystyle.cli.arguments import new_parser, parse, split, subcommand
 from anystyle.cli.progress import progress_lines
 from anystyle.contracts import Command
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder
+from anystyle.registry.compose import compose, override
+from anystyle.training.run import make_sources
 from anystyle_datasets import preparing
 from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, chat_captioner, transformers_captioner
-from anystyle_datasets.checking import FolderReport, check, guess, locate, same_pictures, words
+from anystyle_datasets.checking import (
+    FolderReport,
+    check,
+    check_shards,
+    guess,
+    is_sharded,
+    locate,
+    same_pictures,
+    words,
+)  # fmt: skip
 from anystyle_datasets.files import pictures_below, write_lines
+from anystyle_datasets.packing import pack
 from anystyle_datasets.preparing import ARCHIVE
 from anystyle_datasets.wikiart import DESCRIPTIONS
 
@@ -24,6 +39,7 @@ SUBCOMMANDS = {
     "prepare": "convert a published data set to what the loaders read; nothing is downloaded",
     "check": "what a folder of scenes or styles holds, and what in it is missing or damaged",
     "caption": "describe the paintings of a folder by an image-to-text model",
+    "shard": "put scenes and styles into shards, which trainings also read from object storage",
 }
 
 
@@ -38,7 +54,7 @@ class Data(Command):
         add = flags.add_argument
         if name == "check":
             layouts = ("scenes", "re10k", "styles", "wikiart", "tables")
-            add("path", type=Path, help="a folder")
+            add("path", type=_place, help="a folder, or the address of one of shards")
             add("--as", dest="layout", choices=layouts, help="how to read it (default: recognised)")
             add("--min-views", type=int, default=2, help="views that a scene needs (default: %(default)s)")
             add("--headers", action="store_true", help="do not decode pixels: faster, but misses truncated files")
@@ -53,6 +69,10 @@ class Data(Command):
             add("--styl3r", type=Path, help="a folder with Styl3R's test styles: kept out (wikiart)")
             add("--captures", type=Path, nargs="+", default=[], help="folders with the tables' scenes (tables)")
             prepare_command(parse(flags, words[1:]))
+        elif name == "shard":
+            add("out", type=Path, help="a folder: scenes are put into OUT/scenes, styles into OUT/styles")
+            add("--megabytes", type=int, default=1024, help="after which a shard is closed (default: %(default)s)")
+            shard_command(*split(flags, words[1:]))
         else:
             add("path", type=Path, help="a folder, walked to any depth")
             add("--model", default=DEFAULT_MODEL, help="a name on the hub, or a folder (default: %(default)s)")
@@ -62,6 +82,11 @@ class Data(Command):
             add("--prompt", default=PROMPT, help="the question to the model")
             add("--batch", type=int, default=8, help="pictures at a time (default: %(default)s)")
             caption_command(parse(flags, words[1:]))
+
+
+def _place(word: str) -> Path | str:
+    """A path, or an address as it is: a path would lose one of its slashes."""
+    return word if "://" in word else Path(word)
 
 
 KINDS: dict[str, Callable[..., str]] = {
@@ -94,11 +119,22 @@ def prepare_command(arguments: argparse.Namespace) -> None:
 def check_command(arguments: argparse.Namespace) -> None:
     """Run ``anystyle data check``."""
     root, write = arguments.path, arguments.write
+    start = time.perf_counter()
+    if isinstance(root, str) or is_sharded(root):
+        if arguments.against is not None:
+            raise UserError("--against compares folders of pictures, not shards")
+        report = check_shards(str(root), arguments.min_views, not arguments.headers, progress_lines())
+        print("\n".join([*lines(report), f"checked in {time.perf_counter() - start:.1f} s"]))
+        if report.damaged:
+            raise UserError(
+                f"{report.damaged} samples of {root} are damaged: copy its shards again, or write them again"
+            )
+        print(f"next      anystyle train experiment=paper_head {report.use}")
+        return
     has_tables = (root / "content").is_dir() and PaperFolder(root).styles.is_dir()
     if arguments.layout == "tables" or (arguments.layout is None and has_tables):
         _check_tables(root)
         return
-    start = time.perf_counter()
     report = check(root, layout=arguments.layout, min_views=arguments.min_views, decode=not arguments.headers)
     print("\n".join(lines(report)))
     if arguments.against is not None:
@@ -113,7 +149,7 @@ def check_command(arguments: argparse.Namespace) -> None:
 def lines(report: FolderReport) -> Iterator[str]:
     """A report as lines of a label and a value."""
     scenes = report.layout in ("scenes", "re10k")
-    yield f"layout    {report.layout}"
+    yield f"layout    {report.layout}" + (f" in {report.shards} shards" if report.shards else "")
     if scenes:
         counts = sorted(report.views.elements()) or [0]
         each = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
@@ -153,6 +189,30 @@ def _overlap(root: Path, tests: Path, write: Path | None) -> None:
         print(f"          {path.relative_to(root)} is {other.relative_to(tests)}")
     if write is not None:
         write_lines(write, (path.relative_to(root).as_posix() for path in both))
+
+
+OPTIONS = ("short_side", "multiple", "size", "crop")
+"""Options that shards keep of the source that was packed."""
+
+
+def shard_command(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
+    """Run ``anystyle data shard``, whose overrides are those of a training."""
+    if arguments.megabytes < 1:
+        raise UserError(f"--megabytes {arguments.megabytes}: a number above 0 is expected")
+    named = {"name": "shards", "out": str(arguments.out)}
+    config = compose("train", [*(override(key, value) for key, value in named.items()), *overrides])
+    sources = {key: source for key, source in make_sources(config).items() if source is not None}
+    if not sources:
+        raise UserError("say what to pack in the words of a training, such as scenes=dl3dv scenes.root=DL3DV-10K")
+    use: dict[str, object] = {}
+    for key, source in sources.items():
+        out = arguments.out / key
+        node: Any = OmegaConf.to_container(config[key], resolve=True, enum_to_str=True)
+        options = {name: node[name] for name in OPTIONS if name in node}
+        index = pack(source, out, options=options, megabytes=arguments.megabytes, on_progress=progress_lines())
+        print(f"{key:<9} {len(index.names)} in {len(index.shards)} shards, {sum(index.shards) / 2**20:,.1f} MiB: {out}")
+        use |= {key: "shards", f"{key}__root": out}
+    print(f"next      anystyle train {words(**use)}")
 
 
 def caption_command(arguments: argparse.Namespace) -> None:

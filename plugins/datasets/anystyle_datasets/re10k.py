@@ -3,28 +3,29 @@
 import io
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.contracts import SceneSource
-from anystyle.data.folder import as_views, common_size, read_picture, require_views
+from anystyle.contracts import StoredCamera
+from anystyle.data.folder import common_size
 from anystyle.data.images import image_size
+from anystyle.data.stored import Shots, StoredScenes
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
 from anystyle.paths import inside
 from anystyle.ranges import AtLeastOne
-from anystyle.types import Cameras, SourceImage, Views
 
 
-class Re10kScenes(SceneSource):
+class Re10kScenes(StoredScenes):
     """Clips with poses: ``root/{train,test}/*.torch`` with an ``index.json`` from keys to chunks.
 
     A chunk is a list of dictionaries: ``key``, ``cameras`` (a row per frame: focal lengths and principal point in
@@ -77,26 +78,20 @@ class Re10kScenes(SceneSource):
             raise UserError(f"scene {scene}: there are {len(self.keys)}, counted from 0")
         return self.keys[scene]
 
-    def num_views(self, scene: int) -> int:
-        return len(self._clip(scene)["images"])
-
     def frames(self, scene: int) -> list[bytes]:
         """The frames of a clip as they are stored, compressed."""
         return [frame.numpy().tobytes() for frame in self._clip(scene)["images"]]
 
-    def read(self, scene: int, views: Sequence[int]) -> Views:
-        clip, views = self._clip(scene), list(views)
-        if not views or not all(0 <= view < len(clip["images"]) for view in views):
-            raise UserError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(clip['images']) - 1}")
-        pictures: list[tuple[Image.Image, SourceImage]] = []
-        for view in views:
-            frame = clip["images"][view].numpy().tobytes()
-            # A clip may be called anything, and views' names become those of files.
-            name = f"{re.sub(r'[^A-Za-z0-9_-]', '_', self.name(scene))[:80]}_{view:05d}"
-            size = common_size([image_size(frame, name)], short_side=self.short_side, multiple=self.multiple)
-            require_views(len(views) - len(pictures), size)
-            pictures.append(read_picture(frame, name, size))
-        return as_views(pictures, _cameras(clip["cameras"][views].double(), [source for _, source in pictures]))
+    def num_views(self, scene: int) -> int:
+        return len(self._clip(scene)["images"])
+
+    def shots(self, scene: int) -> Shots:
+        frames = self.frames(scene)
+        # A clip may be called anything, and views' names become those of files.
+        clean = re.sub(r"[^A-Za-z0-9_-]", "_", self.name(scene))[:80]
+        names = [f"{clean}_{view:05d}" for view in range(len(frames))]
+        size = common_size([image_size(frames[0], names[0])], short_side=self.short_side, multiple=self.multiple)
+        return Shots(frames, names, _cameras(self._clip(scene)["cameras"].double()), size)
 
     def _clip(self, scene: int) -> Mapping[str, Any]:
         key = self.name(scene)
@@ -123,7 +118,12 @@ def _is_clip(clip: Any) -> bool:
     if not isinstance(clip, dict) or not isinstance(clip.get("key"), str):
         return False
     cameras, images = clip.get("cameras"), clip.get("images")
-    if not isinstance(cameras, Tensor) or not isinstance(images, list) or cameras.shape != (len(images), 18):
+    if (
+        not isinstance(cameras, Tensor)
+        or not isinstance(images, list)
+        or not images
+        or cameras.shape != (len(images), 18)
+    ):
         return False
     if not cameras.is_floating_point() or not all(isinstance(frame, Tensor) for frame in images):
         return False
@@ -133,12 +133,8 @@ def _is_clip(clip: Any) -> bool:
     return plausible and bool(turned.all()) and all(frame.dtype == torch.uint8 for frame in images)
 
 
-def _cameras(rows: Float[Tensor, "V 18"], sources: Sequence[SourceImage]) -> Cameras:
-    lenses = []
-    for row, source in zip(rows, sources, strict=True):
-        height, width = source.size
-        fx, fy, cx, cy = (row[:4] * row.new_tensor([width, height, width, height])).tolist()
-        lenses.append(source.view_intrinsics(row.new_tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])))
+def _cameras(rows: Float[Tensor, "V 18"]) -> list[StoredCamera]:
     bottom = rows.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(len(rows), 1, 4)
-    world_from_camera = torch.linalg.inv(torch.cat([rows[:, 6:].reshape(-1, 3, 4), bottom], dim=1))
-    return Cameras(world_from_camera.float()[None], torch.stack(lenses).float()[None], sources[0].view_size)
+    poses = torch.linalg.inv(torch.cat([rows[:, 6:].reshape(-1, 3, 4), bottom], dim=1))
+    lenses = ([[fx, 0, cx], [0, fy, cy], [0, 0, 1]] for fx, fy, cx, cy in rows[:, :4].tolist())
+    return [StoredCamera(pose, np.array(lens), (1, 1)) for pose, lens in zip(poses.numpy(), lenses, strict=True)]

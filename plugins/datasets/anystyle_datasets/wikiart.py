@@ -6,16 +6,14 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal
 
-import torch
 from PIL import Image
 
-from anystyle.contracts import StyleSource
 from anystyle.data.captions import read_captions
-from anystyle.data.images import listing, read_square, readable
+from anystyle.data.images import listing, readable
+from anystyle.data.stored import StoredStyle, StoredStyles
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text
 from anystyle.ranges import AtLeastOne, Count
-from anystyle.types import Style
 from anystyle_datasets.files import pictures_below
 
 logger = logging.getLogger(__name__)
@@ -33,7 +31,7 @@ MOVEMENTS = frozenset({
 """The folders of WikiArt."""
 
 
-class WikiArtStyles(StyleSource):
+class WikiArtStyles(StoredStyles):
     """Paintings below a folder, as the published training reads them.
 
     A description is a line ``Movement/painter_title.jpg;free text``; a painting without one is described by its
@@ -114,16 +112,13 @@ class WikiArtStyles(StyleSource):
     def __len__(self) -> int:
         return len(self.paths) + len(self.texts)
 
-    def read(self, style: int) -> Style:
-        if not 0 <= style < len(self):
-            raise UserError(f"style {style}: there are {len(self)}, counted from 0")
+    def stored(self, style: int) -> StoredStyle:
         if style >= len(self.paths):
             name = self.texts[style - len(self.paths)]
-            return Style(text=(self.descriptions[name],), names=(Path(name).stem,))
+            return StoredStyle(None, self.descriptions[name], Path(name).stem)
         path = self.paths[style]
         text = self.descriptions.get(path.relative_to(self.root).as_posix()) or path.parent.name.replace("_", " ")
-        position = 0.5 if self.crop == "centre" else float(torch.rand(()))
-        return Style(image=read_square(path, self.size, position), text=(text,), names=(path.stem,))
+        return StoredStyle(path, text, path.stem)
 
 
 def read_list(path: Path, option: str = "test_files") -> list[str]:

@@ -154,10 +154,14 @@ def _opens(path: Path) -> bool:
     return False
 
 
-def read_square(path: Path, size: int, position: float = 0.5) -> Float[Tensor, "1 3 H W"]:
-    """A square of a picture, scaled to ``size`` pixels, from ``position`` along the longer side: 0.5 is its middle."""
-    width, height = image_size(path)
-    image = open_image(path, longest=2 * size * max(width, height) // min(width, height) + 1)
+def read_square(source: Picture, size: int, position: float = 0.5, name: str = "") -> Float[Tensor, "1 3 H W"]:
+    """A square of a picture, scaled to ``size`` pixels, from ``position`` along the longer side: 0.5 is its middle.
+
+    Messages call bytes by ``name``.
+    """
+    name = "" if isinstance(source, Path) else name
+    width, height = image_size(source, name)
+    image = open_image(source, name, longest=2 * size * max(width, height) // min(width, height) + 1)
     side = min(image.size)
     left, top = (image.width - side) * position, (image.height - side) * position
     square = image.resize((size, size), Image.Resampling.LANCZOS, box=(left, top, left + side, top + side))

@@ -2,37 +2,25 @@
 
 import json
 import logging
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from PIL import Image
 
-from anystyle.contracts import SceneSource, StoredCamera
-from anystyle.data.folder import as_views, common_size, image_files, nested_image_files, read_picture, require_views
+from anystyle.data.folder import common_size, image_files, nested_image_files
 from anystyle.data.images import image_size, readable
 from anystyle.data.names import short_names
-from anystyle.data.poses import read_poses, view_camera
+from anystyle.data.poses import read_poses
+from anystyle.data.stored import Shots, StoredScenes
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
 from anystyle.paths import inside, natural
 from anystyle.ranges import AtLeastOne
-from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)
 
 
-class Shots(NamedTuple):
-    """The images of a scene that can be used, with a camera each or none at all, and the views' height and width."""
-
-    paths: Sequence[Path]
-    names: Sequence[str]
-    cameras: Sequence[StoredCamera]
-    size: tuple[int, int]
-
-
-class FolderScenes(SceneSource):
+class FolderScenes(StoredScenes):
     """Folders of photographs: one scene per folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
 
     A scene's photographs lie in its folder or in its sub-folder ``images``, where there may be a folder for each camera
@@ -92,20 +80,8 @@ class FolderScenes(SceneSource):
         folder = self._folder(scene)
         return self.root.resolve().name if folder == self.root else folder.relative_to(self.root).as_posix()
 
-    def num_views(self, scene: int) -> int:
-        return len(self._shots(scene).paths)
-
-    def read(self, scene: int, views: Sequence[int]) -> Views:
-        shots = self._shots(scene)
-        views = list(views)
-        if not views or not all(0 <= view < len(shots.paths) for view in views):
-            raise UserError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
-        require_views(len(views), shots.size)
-        pictures = [read_picture(shots.paths[view], shots.names[view], shots.size) for view in views]
-        if not shots.cameras:
-            return as_views(pictures)
-        cameras = [view_camera(shots.cameras[view], source) for view, (_, source) in zip(views, pictures, strict=True)]
-        return as_views(pictures, Cameras.cat(cameras, dim=1))
+    def shots(self, scene: int) -> Shots:
+        return self._cache.get(scene, lambda: self._read_shots(self._folder(scene)))
 
     def _folder(self, scene: int) -> Path:
         if not 0 <= scene < len(self.folders):
@@ -133,9 +109,6 @@ class FolderScenes(SceneSource):
 
     def _photographs(self, folder: Path) -> list[Path]:
         return nested_image_files(folder / self.images) if (folder / self.images).is_dir() else image_files(folder)
-
-    def _shots(self, scene: int) -> Shots:
-        return self._cache.get(scene, lambda: self._read_shots(self._folder(scene)))
 
     def _read_shots(self, folder: Path) -> Shots:
         paths = self._photographs(folder)

@@ -5,18 +5,17 @@ from pathlib import Path
 
 from PIL import Image
 
-from anystyle.contracts import StyleSource
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
-from anystyle.data.images import listing, read_square, readable
+from anystyle.data.images import listing, readable
+from anystyle.data.stored import StoredStyle, StoredStyles
 from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne
-from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
 
 
-class FolderStyles(StyleSource):
+class FolderStyles(StoredStyles):
     """The images of a folder in natural order, cut to squares, with captions where there are some.
 
     Captions are lines ``{"image": "a.jpg", "text": "..."}`` of a JSON Lines file, or lines ``a.jpg;...`` of a text
@@ -51,8 +50,6 @@ class FolderStyles(StyleSource):
     def __len__(self) -> int:
         return len(self.paths)
 
-    def read(self, style: int) -> Style:
-        if not 0 <= style < len(self.paths):
-            raise UserError(f"style {style}: there are {len(self.paths)}, counted from 0")
+    def stored(self, style: int) -> StoredStyle:
         path = self.paths[style]
-        return Style(image=read_square(path, self.size), text=(self.captions.get(path.name, ""),), names=(path.stem,))
+        return StoredStyle(path, self.captions.get(path.name, ""), path.stem)
