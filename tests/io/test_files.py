@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_directory, atomic_path, folder_lock
+from anystyle.io.atomic import atomic_directory, atomic_path
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -58,18 +58,6 @@ def test_a_failed_directory_leaves_nothing(tmp_path):
         (temporary / "x").touch()
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_is_locked_against_other_processes_until_its_holder_ends(tmp_path):
-    code = "import sys, time; from pathlib import Path; from anystyle.io.atomic import folder_lock\n"
-    code += "with folder_lock(Path(sys.argv[1]), 'taken'): print('held', flush=True); time.sleep(600)"
-    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout is not None and holder.stdout.readline() == "held\n"
-        with pytest.raises(UserError, match="another run is in it"), folder_lock(tmp_path, "another run is in it"):
-            pass
-        holder.kill()
-    with folder_lock(tmp_path, "taken"):
-        pass
 
 
 def test_a_terminated_command_deletes_what_it_began(tmp_path):
