@@ -76,7 +76,9 @@ def launch(
             except Busy as busy:
                 if HydraConfig.get().runtime.choices["hydra/sweeper"] != "basic":
                     raise
-                print(f"{busy.holder} is at work in {busy.folder}; left to it", file=sys.stderr, flush=True)
+                print(
+                    f"{busy.holder} is at work in {paths.shown(busy.folder)}; left to it", file=sys.stderr, flush=True
+                )
                 return busy
         try:
             return function(config)
