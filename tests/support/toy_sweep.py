@@ -1,4 +1,4 @@
-"""The smallest sweep: twelve jobs of the toy training."""
+"""The smallest sweep: jobs of the toy training."""
 
 import atexit
 import ctypes
@@ -17,7 +17,6 @@ from joblib.externals.loky.backend.context import set_start_method
 from anystyle.__main__ import main
 from anystyle.io import atomic
 
-JOBS = 12
 LEASE = 10.0
 """Seconds after which a lock that is not refreshed is taken over here; users wait for a minute."""
 _PLUGIN = """
