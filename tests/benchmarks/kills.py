@@ -103,11 +103,11 @@ class Trial:
         with (self.out / "log.txt").open("a") as file:
             file.write(f"{line}\n")
 
-    def start(self, host: str | None = None) -> Start:
+    def start(self, host: str | None = None, launcher: str | None = None) -> Start:
         self.number += 1
         output = self.out / "said" / f"{self.number:04d}.txt"
         output.touch()
-        words = ["train", "-m", *LAUNCHERS[self.launcher], *sweep_words(self.sweep, self.seeds)]
+        words = ["train", "-m", *LAUNCHERS[launcher or self.launcher], *sweep_words(self.sweep, self.seeds)]
         self.starts.append(Start(self.run(words, output, host), output))
         return self.starts[-1]
 
@@ -188,9 +188,10 @@ class Trial:
             subprocess.run(["chattr", "-R", "-i", str(self.sweep)], check=True)
 
     def whole(self) -> dict[str, str]:
-        """A sweep that nobody disturbs."""
-        start = self.start()
+        """A sweep that nobody disturbs, by joblib, whose processes begin at once."""
+        start, began = self.start(launcher="joblib"), time.monotonic()
         start.process.join()
+        self.job_seconds = (time.monotonic() - began) / self.jobs
         assert start.process.exitcode == 0, start.said()
         self.starts.clear()
         return self.results()
@@ -217,7 +218,7 @@ class Trial:
                 while self.starts and not (self.at_work() and "job " in start.said()):
                     self.pause(0.2)
             while self.starts:
-                self.pause(self.chance.uniform(0, 3))
+                self.pause(self.chance.uniform(0, 2 * self.job_seconds))
                 if not all(start.killed for start in self.starts) and sum(self.counts.values()) < faults:
                     kinds = {
                         kind: often for kind, often in self.kinds.items() if kind != "second" or len(self.starts) == 1
@@ -250,9 +251,10 @@ def main() -> None:
     words.add_argument("--faults", type=int, default=200)
     words.add_argument("--launcher", choices=LAUNCHERS, default="joblib")
     words.add_argument("--seed", type=int, default=0)
+    words.add_argument("--seeds", default="0,1,2", help="of the sweep, which has four jobs for each")
     words.add_argument("--out", type=Path, required=True)
     given = words.parse_args()
-    trial = Trial(given.out, given.launcher, given.seed)
+    trial = Trial(given.out, given.launcher, given.seed, given.seeds)
     began, sweeps = time.monotonic(), 0
     try:
         expected = trial.whole()
