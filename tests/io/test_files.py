@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from anystyle.cli.run import run
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory, atomic_path
 
@@ -77,3 +78,21 @@ def test_a_terminated_command_deletes_what_it_began(tmp_path):
         assert process.communicate(timeout=60)[1] == "anystyle: terminated\n"
     assert process.returncode == 143
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_signal_is_no_error_where_a_library_makes_one_of_it(capsys, name, status):
+    """OmegaConf does, in the midst of composing."""
+
+    def command() -> None:
+        try:
+            signal.raise_signal(signal.Signals[name])
+        finally:
+            raise AttributeError("'NoneType' object has no attribute 'flags'")
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as ended:
+        run(command)
+    signal.signal(signal.SIGTERM, before)
+    told = {"SIGTERM": "terminated", "SIGINT": "interrupted"}[name]
+    assert ended.value.code == status and capsys.readouterr().err == f"anystyle: {told}\n"
