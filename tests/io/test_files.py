@@ -6,8 +6,9 @@ import sys
 
 import pytest
 
+from anystyle.cli.run import run
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_directory, atomic_path, folder_lock
+from anystyle.io.atomic import atomic_directory, atomic_path
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -60,18 +61,6 @@ def test_a_failed_directory_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_is_locked_against_other_processes_until_its_holder_ends(tmp_path):
-    code = "import sys, time; from pathlib import Path; from anystyle.io.atomic import folder_lock\n"
-    code += "with folder_lock(Path(sys.argv[1]), 'taken'): print('held', flush=True); time.sleep(600)"
-    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout is not None and holder.stdout.readline() == "held\n"
-        with pytest.raises(UserError, match="another run is in it"), folder_lock(tmp_path, "another run is in it"):
-            pass
-        holder.kill()
-    with folder_lock(tmp_path, "taken"):
-        pass
-
-
 def test_a_terminated_command_deletes_what_it_began(tmp_path):
     code = (
         "import signal\nfrom anystyle.cli.run import run\nfrom anystyle.io.atomic import atomic_directory\n"
@@ -89,3 +78,21 @@ def test_a_terminated_command_deletes_what_it_began(tmp_path):
         assert process.communicate(timeout=60)[1] == "anystyle: terminated\n"
     assert process.returncode == 143
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_signal_is_no_error_where_a_library_makes_one_of_it(capsys, name, status):
+    """OmegaConf does, in the midst of composing."""
+
+    def command() -> None:
+        try:
+            signal.raise_signal(signal.Signals[name])
+        finally:
+            raise AttributeError("'NoneType' object has no attribute 'flags'")
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as ended:
+        run(command)
+    signal.signal(signal.SIGTERM, before)
+    told = {"SIGTERM": "terminated", "SIGINT": "interrupted"}[name]
+    assert ended.value.code == status and capsys.readouterr().err == f"anystyle: {told}\n"

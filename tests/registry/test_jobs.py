@@ -3,9 +3,11 @@
 import shlex
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 
 from anystyle.cli.launch import launch
-from anystyle.registry.jobs import command_line
+from anystyle.registry.jobs import command_line, values_of
 
 WORDS = ["training=reconstruction", "loss=[]", "weights.backbone=a/b.safetensors"]
 
@@ -40,3 +42,12 @@ def test_what_decides_on_files_and_configurations_is_part_of_the_command(flag, t
     ((*_, last),), _ = jobs([*WORDS, flag], capsys)
     assert last == flag.replace("own", str(tmp_path / "own"))
     assert command_line("train") == ""  # nothing is running
+
+
+def test_the_jobs_of_a_multirun_are_every_combination_and_of_one_key_the_last_values_count():
+    parser = OverridesParser.create()
+    words = ["seed=0,1", "placement=head,full", "seed=2,3", "~model", "trainer.max_steps=range(1,3)"]
+    values = [["seed=2", "seed=3"], ["placement=head", "placement=full"], ["~model"]]
+    assert values_of(words, parser) == [*values, ["trainer.max_steps=1", "trainer.max_steps=2"]]
+    with pytest.raises(HydraException, match="hydra/sweeper=optuna"):
+        values_of(["weight=interval(0,1)"], parser)

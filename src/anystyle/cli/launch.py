@@ -6,6 +6,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,11 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
+from anystyle.cli import sweep
 from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, unknown
+from anystyle.io.atomic import Busy
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, override, refused
 from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
@@ -55,6 +58,7 @@ def launch(
     The jobs of a multirun write into ``out`` where it is given.
     """
     register()
+    sweep.register()
     if out is not None and {"-m", "--multirun"} & {*words}:
         words = [override("hydra.sweep.dir", out), *words]
     check_words(words)
@@ -67,7 +71,15 @@ def launch(
         if HydraConfig.get().mode is RunMode.MULTIRUN:
             print(announcement(), file=sys.stderr, flush=True)
             check_objective(config)
-            return function(config)  # Hydra reports which job failed
+            try:
+                return function(config)  # Hydra reports which job failed
+            except Busy as busy:
+                if HydraConfig.get().runtime.choices["hydra/sweeper"] != "basic":
+                    raise
+                print(
+                    f"{busy.holder} is at work in {paths.shown(busy.folder)}; left to it", file=sys.stderr, flush=True
+                )
+                return busy
         try:
             return function(config)
         except Exception as error:
@@ -78,6 +90,11 @@ def launch(
     with _for_hydra(words):
         try:
             run_hydra(task)()
+        except BrokenExecutor as error:
+            raise UserError(
+                "a process of this sweep was killed, perhaps because memory ran out; the same command goes on with "
+                "the unfinished jobs"
+            ) from error
         except Exception as error:
             if any(frame.name == "return_value" for frame in traceback.extract_tb(error.__traceback__)):
                 raise  # by a job of a multirun

@@ -24,8 +24,13 @@ def run(command: Callable[[], Any]) -> None:
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _terminated)
     try:
-        command()
-        sys.stdout.flush()
+        try:
+            command()
+            sys.stdout.flush()
+        except Exception as error:
+            if (ending := _signal_behind(error)) is not None:
+                raise ending from None
+            raise
     except KeyboardInterrupt:
         print("anystyle: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
@@ -53,6 +58,13 @@ def _terminated(number: int, frame: object) -> NoReturn:
     """Exit through Python's own cleanup, so that temporary files are removed."""
     print("anystyle: terminated", file=sys.stderr)
     sys.exit(128 + number)
+
+
+def _signal_behind(error: BaseException | None) -> BaseException | None:
+    """What a signal raised, where a library that was interrupted has made an error of its own of it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt | SystemExit):
+        error = error.__cause__ or error.__context__
+    return error
 
 
 def wants_traceback() -> bool:

@@ -17,7 +17,7 @@ from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.provenance import foundations
-from anystyle.io.atomic import folder_lock, write_json
+from anystyle.io.atomic import LOCK, folder_lock, write_json
 from anystyle.io.documents import read_json
 from anystyle.io.record import commit, machine, versions
 from anystyle.io.run_folder import RECORD, refuse_changes
@@ -164,7 +164,7 @@ def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, parts: Colle
         try:
             yield
         except BaseException:
-            if not known and {entry.name for entry in out.iterdir()} <= {RECORD, ".lock"}:
+            if not known and {entry.name for entry in out.iterdir()} <= {RECORD, LOCK}:
                 (out / RECORD).unlink()  # no result depends on it yet
             raise
 

@@ -2,14 +2,15 @@
 
 import json
 import logging
+import math
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from filelock import FileLock, Timeout
+from filelock import SoftFileLease, Timeout
 
 from anystyle.errors import UserError
 from anystyle.io.documents import kept_json, plain
@@ -17,8 +18,25 @@ from anystyle.io.documents import kept_json, plain
 _log = logging.getLogger(__name__)
 MADE = ".anystyle"
 """The file in which a folder of results lists the entries that this program made there."""
+LOCK = ".lock"
 PARTIAL = ".partial-"
 """The beginning of temporary names; only a killed process leaves such files."""
+LEASE = 60.0
+"""Seconds without a sign of life after which a lock is taken over, whatever machine its process was on."""
+
+
+class Busy(UserError):
+    """Another process is at work in a folder.
+
+    Args:
+        message: The line for the user.
+        folder: The folder.
+        holder: Which process, in words.
+    """
+
+    def __init__(self, message: str, folder: Path = Path(), holder: str = "another process") -> None:
+        super().__init__(message)
+        self.folder, self.holder = folder, holder
 
 
 @contextmanager
@@ -85,23 +103,57 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
 
 
 @contextmanager
-def folder_lock(folder: Path, refusal: str) -> Iterator[None]:
-    """Lock a folder until the block ends, or raise a UserError of the message ``refusal`` if another process does.
+def folder_lock(folder: Path, refusal: str) -> Iterator[Callable[[], None]]:
+    """Lock a folder until the block ends, or raise :class:`Busy` of the message ``refusal`` if another process does.
 
-    The lock is its file ``.lock``, which is deleted if nothing else was written.
+    The lock is the file ``.lock``, which needs nothing of a file system but that it creates a file once. Its process
+    touches it three times within :data:`LEASE` seconds. The lock of a process that has died on this machine is taken
+    over, and so is one that was not touched for longer, as of a machine that has gone. The block is given a function
+    that raises ``Busy`` if that happened to its own.
     """
     with _made_folder(folder):
-        lock = FileLock(folder / ".lock")
+        lease = SoftFileLease(folder / LOCK, lease_duration=LEASE, blocking=False)
+
+        def busy() -> Busy:
+            owner = lease.owner
+            holder = (
+                "another process" if owner is None else f"process {owner.pid} on {owner.hostname.partition('?')[0]}"
+            )
+            return Busy(f"{refusal} ({holder})", folder, holder)
+
+        def check() -> None:
+            if not lease.is_lock_held_by_us:
+                raise busy()
+
+        while not lease.is_locked:
+            try:
+                lease.acquire()
+            except Timeout:
+                # Where a file system cannot exchange two names, as NFS, the library leaves every lock as it is.
+                if (silent := _silence(folder)) <= LEASE:
+                    raise busy() from None
+                if silent < math.inf:
+                    lease.force_break()
         try:
-            lock.acquire(blocking=False)
-        except Timeout:
-            raise UserError(refusal) from None
-        try:
-            yield
+            yield check
         finally:
-            lock.release()
-            if [entry.name for entry in folder.iterdir()] == [".lock"]:
-                (folder / ".lock").unlink()
+            lease.release()
+
+
+def is_locked(folder: Path) -> bool:
+    """Whether a process is at work in a folder: its lock is there, and was touched within :data:`LEASE` seconds."""
+    return _silence(folder) <= LEASE
+
+
+def _silence(folder: Path) -> float:
+    """Seconds since a folder's lock was touched, by the clock of the disk that it is on; infinite without a lock."""
+    with (
+        suppress(FileNotFoundError),
+        (folder / LOCK).open("rb") as lock,  # a network file system may keep what it knows of one that is not opened
+        tempfile.TemporaryFile(prefix=PARTIAL, dir=folder) as now,
+    ):
+        return os.fstat(now.fileno()).st_mtime - os.fstat(lock.fileno()).st_mtime
+    return math.inf
 
 
 @contextmanager

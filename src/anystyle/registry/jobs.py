@@ -2,6 +2,7 @@
 
 import math
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,24 @@ RECORD = "multirun.yaml"
 _NOT_REPEATED = ("hydra.mode", "hydra.sweep.", "hydra.job.", "hydra.launcher", "hydra.sweeper")
 
 
+def values_of(words: Sequence[str], parser: OverridesParser) -> list[list[str]]:
+    """For each override of a multirun what its jobs are given; of one key the last counts."""
+    values: dict[str, list[str]] = {}
+    for item in parser.parse_overrides([*words]):
+        key = item.get_key_element()
+        if item.is_sweep_override() and not item.is_discrete_sweep():
+            raise HydraException(f"{item.input_line}: only a search takes intervals, such as hydra/sweeper=optuna")
+        several = [f"{key}={value}" for value in item.sweep_string_iterator()] if item.is_sweep_override() else None
+        values[key] = several or [str(item.input_line)]
+    return [*values.values()]
+
+
 def swept(folder: Path) -> list[list[str]]:
     """For each override of a multirun what its jobs are given, in Hydra's order; empty where that is not known."""
     try:
         sweep: dict[str, Any] = read_yaml(folder / RECORD, dict[str, Any], what="record of a multirun")["hydra"]
         params = [f"{key}={value}" for key, value in ((sweep.get("sweeper") or {}).get("params") or {}).items()]
-        return [
-            [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
-            if item.is_sweep_override()
-            else [str(item.input_line)]
-            for item in OverridesParser.create().parse_overrides([*params, *sweep["overrides"]["task"]])
-        ]
+        return values_of([*params, *sweep["overrides"]["task"]], OverridesParser.create())
     except (UserError, HydraException, KeyError, TypeError, AttributeError):
         return []
 

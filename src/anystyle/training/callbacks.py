@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -59,10 +60,23 @@ class RunCheckpoint(Callback):
 
     Lightning's ``ModelCheckpoint`` counts either steps or minutes, saves at a signal only in the middle of a step
     (from which a run is not resumed bit for bit), and does not rename atomically.
+
+    Args:
+        path: The last checkpoint.
+        every_steps: Optimizer steps between two.
+        every_minutes: Minutes between two.
+        check: Called before each is written; raises an error where the folder belongs to another run by now.
     """
 
-    def __init__(self, path: Path, *, every_steps: int = 500, every_minutes: float = 5.0) -> None:
-        self.path, self.every_steps, self.every_seconds = path, every_steps, 60 * every_minutes
+    def __init__(
+        self,
+        path: Path,
+        *,
+        every_steps: int = 500,
+        every_minutes: float = 5.0,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.path, self.every_steps, self.every_seconds, self.check = path, every_steps, 60 * every_minutes, check
         self.stopped_by: str | None = None
         self.started = self._saved = False
         self.metrics: dict[str, float] = {}
@@ -113,6 +127,7 @@ class RunCheckpoint(Callback):
 
     def save(self, trainer: Trainer) -> None:
         """Write the checkpoint; all processes take part, the first one writes."""
+        self.check()
         self.metrics |= logged(trainer)
         try:
             with atomic_path(self.path, sync=True) if trainer.is_global_zero else nullcontext(self.path) as temporary:

@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -47,10 +48,13 @@ def is_rank_zero() -> bool:
     return all(os.environ.get(name, "0") == "0" for name in ("RANK", "LOCAL_RANK", "NODE_RANK", "SLURM_PROCID"))
 
 
-def exclusive(out: Path) -> AbstractContextManager[None]:
-    """Keep other runs out of a folder; the processes of one distributed run share it."""
+def exclusive(out: Path) -> AbstractContextManager[Callable[[], None]]:
+    """Keep other runs out of a folder, which the processes of one distributed run share.
+
+    The block is given a function that raises an error if another run has come in all the same.
+    """
     refusal = f"another run is at work in {out}; wait for its end, or choose another name=..."
-    return folder_lock(out, refusal) if is_rank_zero() else nullcontext()
+    return folder_lock(out, refusal) if is_rank_zero() else nullcontext(lambda: None)
 
 
 def bound(config: DictConfig) -> dict[str, Any]:

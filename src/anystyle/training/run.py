@@ -30,7 +30,7 @@ from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
-from anystyle.training.resume import Resumed, bound, exclusive, is_rank_zero, resumable
+from anystyle.training.resume import bound, exclusive, is_rank_zero, resumable
 from anystyle.training.scene_cache import CachedScenes
 from anystyle.training.trainer import check_options, make_trainer
 
@@ -81,14 +81,17 @@ def train(
         names = ", ".join(map(str, config.pipeline))
         raise UserError(f"this experiment is a pipeline; train each of {names}, or run `anystyle train`")
     check_options(config)
-    with exclusive(out):
+    # Before the lock, which would change a folder that may be read-only.
+    if not config.fast_dev_run and (outcome := _finished(config, out)) is not None:
+        return outcome
+    with exclusive(out) as check:
         if not config.fast_dev_run:
-            return _train(config, out, on_begin)
+            return _finished(config, out) or _train(config, out, on_begin, check)
         with _trial(config, out) as (short, folder):
-            return replace(_train(short, folder, lambda step: None), weights=())
+            return replace(_train(short, folder, lambda step: None, check), weights=())
 
 
-def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Outcome:
+def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check: Callable[[], None]) -> Outcome:
     # Now: the checkout may change while the run goes on with the code it was started with.
     code = {"command": command_line("train"), "commit": commit(), "torch": torch.__version__}
     last = out / "last.ckpt"
@@ -96,12 +99,13 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
         for partial in out.glob(".partial-*.ckpt"):  # of a run that was killed while it wrote
             partial.unlink(missing_ok=True)
     resumed = resumable(config, last)
-    if resumed is not None and (outcome := _finished(config, out, resumed)) is not None:
-        return outcome
     # Trainer and data come first: a mistake in them shows before networks are loaded, which may take minutes.
     average = MovingAverage(float(config.average)) if config.average else None
     checkpoint = RunCheckpoint(
-        last, every_steps=config.checkpoint.every_steps, every_minutes=float(config.checkpoint.every_minutes)
+        last,
+        every_steps=config.checkpoint.every_steps,
+        every_minutes=float(config.checkpoint.every_minutes),
+        check=check,
     )
     trainer = make_trainer(config, out, [*([average] if average else []), checkpoint])
     sources = make_sources(config)
@@ -133,17 +137,21 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
         average.swap(training)
     weights: tuple[Path, ...] = ()
     if rank_zero:
+        check()
         provenance = {**code, "seed": config.seed, "steps": steps, **inputs_of(config, sources)}
         weights = export(config, training.exports(), out, provenance=provenance)
         write_json(out / METRICS, dict(sorted(metrics.items())))
     return Outcome(steps, True, metrics, weights, rank_zero, checkpoint.stopped_by)
 
 
-def _finished(config: DictConfig, out: Path, resumed: Resumed) -> Outcome | None:
+def _finished(config: DictConfig, out: Path) -> Outcome | None:
     """The outcome of a run that has ended and whose results are all there; ``None`` for any other."""
     stored: dict[str, Figure] | None = kept_json(out / METRICS, dict[str, Figure])
     weights = tuple(sorted(out.glob("*.safetensors")))
-    if resumed.step < config.trainer.max_steps or stored is None or not weights or config.resume == "changed":
+    if stored is None or not weights or config.resume == "changed":
+        return None
+    resumed = resumable(config, out / "last.ckpt")
+    if resumed is None or resumed.step < config.trainer.max_steps:
         return None
     metrics = {name: as_number(value) for name, value in stored.items()}
     return Outcome(resumed.step, True, metrics, weights, is_rank_zero())
