@@ -12,6 +12,7 @@ SUBCOMMANDS = {
     "geometry": "depth and cameras of your own track's scenes, and the hashes of its inputs",
     "judge": "compute the figures of results; --check verifies a folder of images without judging",
     "compare": "which methods differ significantly; --with-people makes a user study of two",
+    "ladder": "how the metrics order known distortions of a method's results",
     "site": "a static site of tables and pictures",
 }
 

@@ -1,7 +1,7 @@
 """Known distortions of a splat, of the cameras it is rendered from, and of its renders, in rungs of growing strength.
 
 Lengths are shares of the shorter side of a view, so that a rung looks the same at any size. What is random is drawn
-once from a seed and multiplied by the strength: a rung is the one before, further along; of strength 0 is what is given.
+once from a seed and multiplied by the strength: a rung is the one before, further along, and strength 0 the identity.
 """
 
 from collections.abc import Callable, Mapping
