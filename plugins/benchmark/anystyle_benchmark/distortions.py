@@ -180,22 +180,22 @@ SIDE = "of the shorter side"
 DISTORTIONS: Mapping[str, Distortion] = MappingProxyType(
     {
         "splat_blur": Distortion(
-            *("splat: Gaussians grown", "added to the scales, relative"),
+            *("splat: blur", "added to the scales of all Gaussians, relative"),
             *((0.1, 0.25, 0.5, 1.0), _splat(lambda splat, _, factor: grown(splat, factor))),
         ),
         "splat_noise": Distortion(
-            *("splat: noise on colours", "SD, colours in [0, 1]"),
+            *("splat: noise", "SD of Gaussians' colours in [0, 1]"),
             *((0.04, 0.1, 0.2, 0.4), _splat(lambda splat, _, deviation: recolored(splat, deviation))),
         ),
         "splat_jitter": Distortion(
-            "splat: Gaussians displaced", f"SD, {SIDE}", (0.002, 0.005, 0.012, 0.03), _splat(moved)
+            "splat: jitter", f"SD of centres, {SIDE}", (0.002, 0.005, 0.012, 0.03), _splat(moved)
         ),
         "floaters": Distortion("splat: floaters", "per camera", (2, 8, 24, 72), _splat(with_floaters)),
-        "fade": Distortion("splat: style taken back", "of the unstyled scene", (0.25, 0.5, 0.75, 1.0), faded),
+        "fade": Distortion("splat: less style", "of the unstyled scene", (0.25, 0.5, 0.75, 1.0), faded),
         "cameras": Distortion("cameras: wrong", SIDE, (0.002, 0.006, 0.018, 0.05), _cameras),
         "view_blur": Distortion("views: blur", f"SD, {SIDE}", (0.002, 0.005, 0.01, 0.02), _renders(blurred)),
         "view_noise": Distortion("views: noise", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2), _renders(noisy)),
-        "cast": Distortion("views: one colour cast", "gain of green", (0.03, 0.07, 0.15, 0.3), _renders(tinted)),
+        "cast": Distortion("views: colour cast", "gain of green", (0.03, 0.07, 0.15, 0.3), _renders(tinted)),
         "flicker": Distortion("views: flicker", "SD of log gains", (0.03, 0.07, 0.15, 0.3), _renders(flickering)),
     }
 )

@@ -3,10 +3,10 @@
 A rung is one step further from what was distorted. Of a cell's figures on all rungs, steps to the next rung are counted
 that make the figure worse, better or leave it, and all pairs of rungs by Kendall's tau (a): 1 where the figure is worse
 on every higher rung, -1 where it is better, and 0 where it does not move. A figure sees a distortion where the 95 %
-interval of tau for new scenes and styles (:func:`anystyle_benchmark.statistics.interval`) leaves 0 out.
+interval of tau for new scenes and styles (:func:`anystyle_benchmark.statistics.interval`) leaves 0 out, and is blind to
+it where the interval lies within :data:`BLIND` of 0; else the cells are too few to say.
 """
 
-import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import combinations
@@ -18,7 +18,8 @@ from jaxtyping import Float
 from msgspec import Struct
 from msgspec.structs import replace
 
-from anystyle.io.documents import Figure, as_number, read_json, read_toml
+from anystyle.evaluation.judge import mean
+from anystyle.io.documents import Figure, as_figure, as_number, read_json, read_toml
 from anystyle_benchmark.distortions import DISTORTIONS
 from anystyle_benchmark.results import CellFigures, Figures, Interval, Lock, MetricInfo, SceneFigures
 from anystyle_benchmark.spec import Spec
@@ -30,6 +31,8 @@ UNDISTORTED = "undistorted"
 """The name of the lowest rung of every ladder, as a method of a benchmark."""
 MOST = 0.75
 """The share of steps of which a figure that orders a ladder in full has at least so many in order."""
+BLIND = 0.5
+"""The largest tau, either way, of a figure that is called blind: of ten pairs of rungs 7.5 are in one order."""
 TIED = 1e-6  # relative: figures are rounded to seven digits
 
 Effect = Literal["worse", "better", "blind"]
@@ -51,7 +54,7 @@ class Verdict(Struct, frozen=True):
 
     Args:
         expected: What it is said to do; ``None`` where nothing is claimed.
-        found: What it does; ``None`` where there are too few scenes or styles to say.
+        found: What it does; ``None`` where there are too few scenes and styles to say.
         tau: Kendall's tau of rung and figure, above 0 where the figure gets worse.
         ordered: How many steps of :data:`STEPS` move as is expected, or to the worse where nothing or nothing else is.
         tied: Mean number of steps that leave the figure as it is.
@@ -74,7 +77,7 @@ class Verdict(Struct, frozen=True):
         """The finding beside the expectation, one of :data:`WORDS`."""
         match self.expected, self.found:
             case _, None:
-                return "untested"
+                return "undecided"
             case None, found:
                 return f"unclaimed_{found}"
             case "blind", "blind":
@@ -107,7 +110,7 @@ WORDS = {
     "unclaimed_worse": "worse (no claim)",
     "unclaimed_better": "better (no claim)",
     "unclaimed_blind": "blind (no claim)",
-    "untested": "too few to say",
+    "undecided": "undecided",
 }
 """Every kind of verdict in words."""
 
@@ -178,7 +181,7 @@ def expectations() -> dict[tuple[str, str], Expected]:
 
 
 def judged(figures: Figures, distortions: Sequence[str]) -> list[Verdict]:
-    """The verdicts of all figures that have values on the rungs of these distortions."""
+    """The verdicts of all figures that have values on the rungs of these distortions, and are not all the same."""
     rows: dict[str, list[CellFigures | SceneFigures]] = {}
     for row in (*figures.cells, *figures.scenes):
         rows.setdefault(row.method, []).append(row)
@@ -187,9 +190,10 @@ def judged(figures: Figures, distortions: Sequence[str]) -> list[Verdict]:
         for distortion in distortions:
             ladder = [rows.get(rung(distortion, index), []) for index in range(STEPS + 1)]
             values = np.stack(arranged(figure, *ladder))
-            if np.isfinite(values).any():
+            if (~np.isnan(values[1:] - values[:-1])).any():
                 found.append(verdict(figure, distortion, values if info.better == "lower" else -values, info.better))
-    return found
+    moving = {one.figure for one in found if one.tied + one.unknown < STEPS}
+    return [one for one in found if one.figure in moving]
 
 
 def verdict(figure: str, distortion: str, values: Values, better: str) -> Verdict:
@@ -198,14 +202,14 @@ def verdict(figure: str, distortion: str, values: Values, better: str) -> Verdic
     effect = None if expected is None else expected.effect
     steps = np.stack([compared(values[i], values[i + 1]) for i in range(len(values) - 1)])
     pairs = np.stack([compared(values[i], values[j]) for i, j in combinations(range(len(values)), 2)])
-    known = np.isfinite(steps).any(0)
+    known = ~np.isnan(steps).all(0)
     ordered = np.where(known, (steps == (-1 if effect == "better" else 1)).sum(0), np.nan)
     with np.errstate(invalid="ignore"):
         tau = interval(np.nansum(pairs, 0) / np.isfinite(pairs).sum(0))
     low, high = as_number(tau.low), as_number(tau.high)
-    found: Effect | None = None if math.isnan(low) else "worse" if low > 0 else "better" if high < 0 else "blind"
+    found: Effect | None = "worse" if low > 0 else "better" if high < 0 else "blind" if -low < BLIND > high else None
     sign = 1 if better == "lower" else -1
-    means = [interval(sign * one).mean for one in values]
+    means: list[Figure] = [as_figure(rounded(mean((sign * one).ravel().tolist()))) for one in values]
     tied, unknown = (steps == 0).sum(0)[known].mean(), np.isnan(steps).sum(0)[known].mean()
     counts = rounded(float(tied)), rounded(float(unknown))
     return Verdict(figure, distortion, effect, found, tau, interval(ordered), *counts, means)

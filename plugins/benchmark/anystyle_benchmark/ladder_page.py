@@ -11,11 +11,11 @@ from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.documents import as_number
 from anystyle.io.sheet import contact_sheet
 from anystyle_benchmark.distortions import DISTORTIONS
-from anystyle_benchmark.ladder import STEPS, WORDS, Ladder, Verdict, expectations, rung, title
+from anystyle_benchmark.ladder import BLIND, STEPS, WORDS, Ladder, Verdict, expectations, rung, title
 from anystyle_benchmark.results import Cell
 from anystyle_benchmark.templates import templates
 
-CELL = (200, 150)
+CELL = (160, 120)
 """Largest width and height of a picture in the strip of rungs, in pixels."""
 
 
@@ -40,7 +40,7 @@ LOOKS = {
     "unclaimed_worse": Look("#ffffff", "#5a626b", "worse, no claim"),
     "unclaimed_better": Look("#ffffff", "#5a626b", "better, no claim"),
     "unclaimed_blind": Look("#ffffff", "#5a626b", "blind, no claim"),
-    "untested": Look("#ffffff", "#5a626b", "too few to say"),
+    "undecided": Look("#ffffff", "#5a626b", "undecided"),
 }
 
 
@@ -67,6 +67,7 @@ def _values(ladder: Ladder) -> dict[str, object]:
         "looks": LOOKS,
         "words": WORDS,
         "steps": STEPS,
+        "blind": BLIND,
         "count": count,
         "bounds": bounds,
         "as_number": as_number,
@@ -91,7 +92,7 @@ def sizes(ladder: Ladder) -> str:
     """How much was measured, in words."""
     counted = ((ladder.scenes, "scene"), (ladder.styles, "style"))
     parts = [f"{len(names)} {what}{'s' * (len(names) != 1)}" for names, what in counted]
-    return f"{' x '.join(parts)}, {ladder.views} views per cell, of {ladder.method.title}"
+    return f"{' x '.join(parts)}, {ladder.views} views per cell, by the method {ladder.method.name}"
 
 
 def table(ladder: Ladder) -> Table:
@@ -106,9 +107,10 @@ def table(ladder: Ladder) -> Table:
     ]
     networks = {name: ladder.metrics[name].stand_in for name in ladder.metrics if ladder.metrics[name].stand_in}
     notes = (
-        f"How many of {STEPS} steps to the next rung move the figure as it is said to move (to the worse, where that is "
-        f"not said), and whether Kendall's tau of rung and figure leaves 0 out by its 95 % interval for new scenes and "
-        f"styles: {sizes(ladder)}; track {ladder.track.name} {ladder.track.version}.",
+        f"How many of {STEPS} steps to the next rung move the figure as it is said to (to the worse, where nothing is "
+        f"said). Verdicts are of Kendall's tau of rung and figure: its 95 % interval for new scenes and styles "
+        f"leaves 0 out; lies within {BLIND:g} of 0 (blind); or neither (undecided). {sizes(ladder)}; track "
+        f"{ladder.track.name} {ladder.track.version}.",
         *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items()),
     )
     return Table(("figure", *map(title, present)), tuple(rows), notes=notes)
@@ -129,4 +131,4 @@ def strip(root: Path, distortions: Sequence[str], scene: str, style: str, view: 
     ]
     titles = [f"{title(name)} ({', '.join(map(number, DISTORTIONS[name].strengths))})" for name in distortions]
     columns = ["as it is", *(f"rung {index}" for index in range(1, STEPS + 1))]
-    return contact_sheet(rows, row_titles=titles, column_titles=columns, cell=CELL, gap=6)
+    return contact_sheet(rows, row_titles=titles, column_titles=columns, cell=CELL, gap=5)
