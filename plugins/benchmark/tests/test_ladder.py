@@ -20,10 +20,11 @@ from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from anystyle_benchmark import distortions
 from anystyle_benchmark import judge as judging
+from anystyle_benchmark.command_judge import summary
 from anystyle_benchmark.command_ladder import main, rungs
 from anystyle_benchmark.command_site import pages, pictured
 from anystyle_benchmark.distortions import DISTORTIONS, Shot
-from anystyle_benchmark.ladder import LADDER, STEPS, WORDS, Ladder, Verdict, expectations, rung, verdict
+from anystyle_benchmark.ladder import LADDER, STEPS, WORDS, Ladder, Verdict, bundled, expectations, rung, verdict
 from anystyle_benchmark.ladder_page import LOOKS, table
 from anystyle_benchmark.results import Cell, Interval, Record, read_figures
 from anystyle_benchmark.spec import read_spec
@@ -309,6 +310,8 @@ def test_the_site_says_which_metrics_fail(made_rungs, tmp_path):
     site = index()
     assert "Fails a" in site["index.html"] and "sharpness (inverts views: blur)" in site["index.html"]
     assert "<sup>‡</sup>" in site["index.html"] and "inverted (fails)" in site["ladder.html"]
+    judged = summary(figures, bundled(inputs.file.parent, figures)).markdown()
+    assert "sharpness fails ladders: inverts views: blur." in judged
     other = msgspec.structs.replace(ladder.track, digest="other")
     write_json(tmp_path / "track" / LADDER, msgspec.to_builtins(msgspec.structs.replace(ladder, track=other)))
     assert "‡" not in index()["index.html"]  # of another version
@@ -333,6 +336,17 @@ def test_what_is_wrong_is_a_line(words, line, tmp_path):
 def test_rungs_of_another_method_are_refused(made_rungs):
     with pytest.raises(UserError, match="rungs of another method"):
         main([*made_rungs[2], "--method", "brush"])
+
+
+def test_the_bundled_ladder_is_of_the_track_and_of_what_is_expected_now():
+    inputs = Inputs("open")
+    ladder = msgspec.json.decode((TRACKS / "open" / LADDER).read_bytes(), type=Ladder)
+    assert (ladder.track.digest, ladder.track.hashes) == (inputs.digest, inputs.hashes)
+    assert (len(ladder.scenes), len(ladder.styles)) == (4, 4)
+    for one in ladder.verdicts:
+        row = expectations().get((one.figure, one.distortion))
+        assert one.expected == (None if row is None else row.effect)
+    assert "style_retrieval" in ladder.failing
 
 
 @pytest.mark.slow
