@@ -150,9 +150,12 @@ class Ladder(Struct, frozen=True):
 
     def sentence(self, figure: str) -> str:
         """How many of the distortions that a figure is said to see it sees, and its failures."""
-        should = [one for one in self.of(figure) if one.expected in ("worse", "better") and one.found is not None]
-        seen = [one for one in should if not one.fails]
-        counted = [f"sees {len(seen)} of {len(should)} that it should"] if should else []
+        should = [one for one in self.of(figure) if one.expected in ("worse", "better")]
+        seen = sum(one.found == one.expected for one in should)
+        unsure = sum(one.found is None for one in should)
+        counted = [f"sees {seen} of {len(should)} that it should" + f", {unsure} undecided" * bool(unsure)] * bool(
+            should
+        )
         return "; ".join(filter(None, [*counted, self.failures(figure)]))
 
 
