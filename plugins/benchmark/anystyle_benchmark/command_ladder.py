@@ -49,7 +49,7 @@ def main(args: Sequence[str]) -> None:
     root, inputs = arguments.results, Inputs(arguments.track, arguments.root)
     spec, _ = read_spec(arguments.method)
     if spec.preset is None:
-        raise UserError(f"method {spec.name} is no preset of anystyle stylize, and leaves no splat to distort")
+        raise UserError(f"method {spec.name} is not a preset of anystyle stylize, and leaves no splat to distort")
     scenes = [inputs.scene(name) for name in _words(arguments.scenes)] or list(inputs.track.scenes)
     styles = [inputs.style(name) for name in _words(arguments.styles)]
     styles = styles or [style for style in inputs.track.styles if style.guide == "image"]

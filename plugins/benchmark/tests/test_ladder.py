@@ -320,7 +320,7 @@ def test_the_site_says_which_metrics_fail(made_rungs, tmp_path):
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--method", "photographs"], "no preset of anystyle stylize"),
+        (["--method", "photographs"], "not a preset of anystyle stylize"),
         (["--method", "nobody"], "no method is named 'nobody'"),
         (["--distortions", "view_blur,fog"], "no distortion is named 'fog'"),
         (["--scenes", "moon"], "no scene is named 'moon'"),
