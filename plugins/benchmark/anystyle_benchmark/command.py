@@ -13,6 +13,7 @@ SUBCOMMANDS = {
     "judge": "compute the figures of results; --check verifies a folder of images without judging",
     "verify": "make cells of a table again, and compare every figure",
     "compare": "which methods differ significantly; --with-people makes a user study of two",
+    "ladder": "how the metrics order known distortions of a method's results",
     "site": "a static site of tables and pictures",
 }
 

@@ -16,6 +16,7 @@ from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import as_number
 from anystyle.io.limits import free
 from anystyle_benchmark.judge import Judge, inputs_of, read_methods, wrong
+from anystyle_benchmark.ladder import Ladder, bundled
 from anystyle_benchmark.results import FIGURES, Figures, Interval, bind
 from anystyle_benchmark.statistics import cost
 from anystyle_benchmark.track import Inputs
@@ -71,7 +72,7 @@ def main(args: Sequence[str]) -> None:
     judge = Judge(inputs, results, tuple(filter(None, arguments.metrics.split(","))), processes=processes)
     figures = judge(specs, lock, progress_lines())
     write_json(results / FIGURES, msgspec.to_builtins(figures))
-    table = summary(figures).markdown()
+    table = summary(figures, bundled(inputs.file.parent, figures)).markdown()
     for name, text in (("table.md", table), ("table.csv", listing(figures).csv())):
         with atomic_path(results / name) as path:
             path.write_text(text, encoding="utf-8")
@@ -82,8 +83,8 @@ def main(args: Sequence[str]) -> None:
     print(f"{table}\nin {results}: {FIGURES}, table.md, table.csv")
 
 
-def summary(figures: Figures) -> Table:
-    """Methods down and metrics across, in a block for each guide."""
+def summary(figures: Figures, ladder: Ladder | None = None) -> Table:
+    """Methods down and metrics across, in a block for each guide; below, which metrics fail ladders."""
     shown = [name for name in figures.headline if any(name in row.figures for row in figures.table)]
     rows: list[tuple[str, ...]] = []
     for guide in dict.fromkeys(row.guide for row in figures.table):
@@ -95,10 +96,15 @@ def summary(figures: Figures) -> Table:
             rows.append((title, f"{row.cells - row.failed} of {row.cells}", *values, number(seconds)))
     better = {name: info.better for name, info in figures.metrics.items()}
     networks = {name: figures.metrics[name].stand_in for name in shown if figures.metrics[name].stand_in}
+    failures = {} if ladder is None else {name: ladder.failures(name) for name in shown if name in ladder.failing}
     return Table(
         ("method", "cells", *(titled(name, better) for name in shown), "CPU s per style"),
         tuple(rows),
-        notes=(INTERVALS, *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items())),
+        notes=(
+            INTERVALS,
+            *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items()),
+            *(f"{name} fails ladders: {said}." for name, said in failures.items()),
+        ),
     )
 
 

@@ -18,16 +18,17 @@ from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.progress import progress_lines
 from anystyle.data.images import open_image
 from anystyle.errors import UserError
-from anystyle.evaluation.tables import number
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import as_number
 from anystyle.types import OnProgress, Progress
 from anystyle_benchmark.judge import inputs_of, photographs
+from anystyle_benchmark.ladder import bundled
+from anystyle_benchmark.ladder_page import ladder_page
 from anystyle_benchmark.results import FIGURES, CellFigures, Figures, Interval, read_figures
 from anystyle_benchmark.statistics import cost, scene_cost
+from anystyle_benchmark.templates import PAGES, templates
 from anystyle_benchmark.track import Inputs
 
-PAGES = Path(__file__).parent / "pages"
 QUALITIES = (
     *((1, 75), (1, 65), (1, 55), (1, 45), (1, 40), (1, 35), (0.92, 35), (0.85, 35), (0.75, 35), (0.65, 35)),
     *((0.55, 35), (0.45, 35), (0.35, 35), (0.25, 30), (0.2, 25)),
@@ -75,7 +76,8 @@ def main(args: Sequence[str]) -> None:
     }
     sources |= {f"photographs/{one.name}.avif": photographs(inputs, one, root) for one in inputs.track.scenes}
     sources |= {f"styles/{one.name}.avif": [inputs.path(one.image)] for one in inputs.track.styles if one.image}
-    entries = ("index.html", "compare.html", "site.css", "site.js", "figures.js", "cells", "photographs", "styles")
+    pages_of_it = ("index.html", "compare.html", "ladder.html", "site.css", "site.js", "figures.js")
+    entries = (*pages_of_it, "cells", "photographs", "styles")
     with atomic_directory(arguments.out, entries) as folder:
         for name, text in pages(inputs, root, figures, shown).items():
             (folder / name).write_text(text, encoding="utf-8")
@@ -98,12 +100,9 @@ def pictured(cells: Sequence[CellFigures]) -> list[CellFigures]:
 
 def pages(inputs: Inputs, root: Path, figures: Figures, shown: Sequence[CellFigures]) -> dict[str, str]:
     """The files of the site that are text."""
-    from jinja2 import Environment, FileSystemLoader
-
-    environment = Environment(loader=FileSystemLoader(PAGES), autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.tests["address"] = lambda text: text.startswith(("https://", "http://"))
-    environment.filters["number"] = number
+    environment, ladder = templates(), bundled(inputs.file.parent, figures)
     values = {
+        "ladder": ladder,
         "figures": figures,
         "track": inputs.track,
         "track_word": inputs.track.name if inputs.bundled else inputs.file.name,
@@ -116,6 +115,7 @@ def pages(inputs: Inputs, root: Path, figures: Figures, shown: Sequence[CellFigu
     data = json.dumps(_data(inputs, root, figures, shown), ensure_ascii=False, separators=(",", ":"))
     return {
         **{name: environment.get_template(name).render(values) for name in ("index.html", "compare.html")},
+        **({} if ladder is None else {"ladder.html": ladder_page(ladder)}),
         **{name: (PAGES / name).read_text(encoding="utf-8") for name in ("site.css", "site.js")},
         "figures.js": f"const RESULTS = {data};\n",
     }

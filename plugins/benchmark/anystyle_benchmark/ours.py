@@ -16,6 +16,7 @@ from anystyle.io.documents import read_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.request import Request
+from anystyle.pipeline.results import Results
 from anystyle.types import Cameras, SourceImage
 from anystyle_benchmark.job import SECONDS, WEIGHTS, Job
 
@@ -23,17 +24,10 @@ from anystyle_benchmark.job import SECONDS, WEIGHTS, Job
 def main(job_file: str, args: Sequence[str]) -> None:
     """Render a job's views in its styles; views are read at the job's size unless an argument says otherwise."""
     job: Job = read_json(job_file, Job, what="job of a benchmark")
-    given = [f"views.short_side={min(job.size)}", f"seed={job.seed}"]
-    request = replace(
-        Request.from_args([*given, *(word.replace("{seed}", str(job.seed)) for word in args)]),
-        inputs=tuple(job.photographs.values()),
-        styles=tuple(str(style.text) if style.image is None else Path(style.image) for style in job.styles),
-    )
     start = time.process_time()
-    results = anystyle.stylize(request)
+    results, cameras = stylized(job, args)
     loaded = {str(one["file"]): str(one["sha256"]) for one in results.networks.values()}
     write_json(Path(job.out) / WEIGHTS, loaded)
-    cameras = judged_cameras(results.encoded.cameras, results.encoded.sources, job.views, job.size)
     spent = time.process_time()
     # A fit that an earlier method left in the cache took no time now: that method's record has its seconds.
     once = None if results.encoded.reconstruction.get("kept") else spent - start
@@ -49,6 +43,18 @@ def main(job_file: str, args: Sequence[str]) -> None:
         if style.name in job.pages:
             export_styles(result.scene(), Path(job.out) / f"{style.name}.html", "html")
             spent = time.process_time()
+
+
+def stylized(job: Job, args: Sequence[str]) -> tuple[Results, Cameras]:
+    """A job's results, each computed when it is asked for, and its cameras; ``args`` are those of a preset."""
+    given = [f"views.short_side={min(job.size)}", f"seed={job.seed}"]
+    request = replace(
+        Request.from_args([*given, *(word.replace("{seed}", str(job.seed)) for word in args)]),
+        inputs=tuple(job.photographs.values()),
+        styles=tuple(str(style.text) if style.image is None else Path(style.image) for style in job.styles),
+    )
+    results = anystyle.stylize(request)
+    return results, judged_cameras(results.encoded.cameras, results.encoded.sources, job.views, job.size)
 
 
 def judged_cameras(

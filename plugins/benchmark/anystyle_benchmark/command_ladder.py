@@ -1,0 +1,150 @@
+"""``anystyle benchmark ladder``: how the metrics of a track order known distortions of a method's results."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import torch
+
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.progress import progress_lines
+from anystyle.errors import UserError, unknown
+from anystyle.io.atomic import atomic_directory, atomic_path, write_json
+from anystyle.io.documents import kept_json
+from anystyle.io.sheet import save_png, to_pil
+from anystyle.types import Cameras, Gaussians, OnProgress, Progress
+from anystyle_benchmark.distortions import DISTORTIONS, Shot
+from anystyle_benchmark.judge import Judge
+from anystyle_benchmark.ladder import LADDER, UNDISTORTED, Ladder, judged, rung
+from anystyle_benchmark.ladder_page import ladder_page, picture, strip, table
+from anystyle_benchmark.ours import stylized
+from anystyle_benchmark.results import FIGURES, Cell, Record, bind, is_done
+from anystyle_benchmark.run import make_job
+from anystyle_benchmark.spec import Spec, read_spec
+from anystyle_benchmark.templates import PAGES
+from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle benchmark ladder``."""
+    flags = new_parser(
+        "benchmark ladder",
+        "Distort a method's scenes and views in rungs of known order, and count how many rungs each metric puts in "
+        "order. Writes ladder.json, ladder.md, ladder.svg, rungs.jpg and index.html; what is done is not done again.",
+    )
+    add = flags.add_argument
+    add("results", type=Path, help="a folder of its own for the rungs, which are kept as methods of a benchmark")
+    add("--track", default="open", metavar="NAME", help="a track, or a track.toml (default %(default)s)")
+    add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
+    add("--method", default="branch", metavar="NAME", help="a preset that leaves a splat (default %(default)s)")
+    for name, what in (("scenes", "all"), ("styles", "all images"), ("distortions", "all"), ("metrics", "all")):
+        add(f"--{name}", default="", metavar="A,B", help=f"only these (default: {what})")
+    return flags
+
+
+def main(args: Sequence[str]) -> None:
+    """Run ``anystyle benchmark ladder``."""
+    arguments = parse(parser(), args)
+    root, inputs = arguments.results, Inputs(arguments.track, arguments.root)
+    spec, _ = read_spec(arguments.method)
+    if spec.preset is None:
+        raise UserError(f"method {spec.name} is not a preset of anystyle stylize, and leaves no splat to distort")
+    scenes = [inputs.scene(name) for name in _words(arguments.scenes)] or list(inputs.track.scenes)
+    styles = [inputs.style(name) for name in _words(arguments.styles)]
+    styles = styles or [style for style in inputs.track.styles if style.guide == "image"]
+    names = _words(arguments.distortions) or list(DISTORTIONS)
+    if strange := [name for name in names if name not in DISTORTIONS]:
+        raise UserError(unknown("distortion", strange[0], DISTORTIONS))
+    judge = Judge(inputs, root, _words(arguments.metrics))
+    lock, specs = bind(inputs, root), rungs(spec, names, {style.guide for style in styles})
+    for one in specs:
+        kept = kept_json(root / one.name / "method.json", Spec)
+        if kept is not None and kept.preset != one.preset:
+            raise UserError(f"{root} holds rungs of another method ({' '.join(kept.preset or ())}); use another folder")
+        write_json(root / one.name / "method.json", msgspec.to_builtins(one))
+    on_progress = progress_lines()
+    for scene in scenes:
+        render(inputs, spec, names, scene, styles, root, on_progress)
+    figures = judge(specs, lock, on_progress)
+    write_json(root / FIGURES, msgspec.to_builtins(figures))
+    done = [cell.place for cell in figures.cells if cell.method == UNDISTORTED and cell.status == "done"]
+    verdicts = judged(figures, names)
+    ladder = Ladder(
+        track=lock,
+        method=spec,
+        scenes=[one.name for one in inputs.track.scenes if one.name in {scene for scene, _ in done}],
+        styles=[one.name for one in inputs.track.styles if one.name in {style for _, style in done}],
+        views=max(len(scene.views) for scene in inputs.track.scenes),
+        metrics={name: info for name, info in figures.metrics.items() if any(one.figure == name for one in verdicts)},
+        weights={name: dict(metric.weights) for name, metric in judge.metrics.items()},
+        verdicts=verdicts,
+    )
+    write_json(root / LADDER, msgspec.to_builtins(ladder))
+    with atomic_path(root / "rungs.jpg") as path:
+        shown = strip(root, names, scenes[0].name, styles[0].name, scenes[0].views[0])
+        shown.save(path, "JPEG", quality=85)
+    css, markdown = (PAGES / "site.css").read_text(encoding="utf-8"), table(ladder).markdown()
+    page = ladder_page(ladder, "rungs.jpg")
+    texts = {"ladder.svg": picture(ladder), "ladder.md": markdown, "index.html": page, "site.css": css}
+    for name, text in texts.items():
+        with atomic_path(root / name) as path:
+            path.write_text(text, encoding="utf-8")
+    print(markdown)
+    for name in ladder.metrics:
+        if failures := ladder.failures(name):
+            print(f"{name}: {failures}")
+    print(f"in {root}: {LADDER}, {', '.join(texts)}, rungs.jpg")
+
+
+def rungs(spec: Spec, names: Sequence[str], guides: set[str]) -> list[Spec]:
+    """A method for each rung of each distortion, after that of none at all."""
+    common = {"guides": tuple(sorted(guides)), "baseline": True, "preset": spec.preset}
+    found = [Spec(UNDISTORTED, f"{spec.title}, as it is", f"The lowest rung of every ladder. {spec.about}", **common)]
+    for name in names:
+        one = DISTORTIONS[name]
+        for index, strength in enumerate(one.strengths, 1):
+            title = f"{one.title}, {strength:g}"
+            found.append(Spec(rung(name, index), title, f"{strength:g} {one.unit}.", **common))
+    return found
+
+
+def render(
+    inputs: Inputs,
+    spec: Spec,
+    names: Sequence[str],
+    scene: SceneEntry,
+    styles: Sequence[StyleEntry],
+    root: Path,
+    on_progress: OnProgress,
+) -> None:
+    """Write the views of a scene on every rung, in those styles in which one is missing."""
+    steps = [(UNDISTORTED, None, 0.0)]
+    steps += [(rung(n, i), DISTORTIONS[n], s) for n in names for i, s in enumerate(DISTORTIONS[n].strengths, 1)]
+    missing = {
+        style.name: [step for step in steps if not is_done(Cell(step[0], 0, scene.name, style.name), root)]
+        for style in styles
+    }
+    wanted = [style for style in styles if missing[style.name]]
+    if not wanted:
+        return
+    on_progress(Progress.count(f"rungs of {scene.name}", 0, len(wanted)))
+    results, cameras = stylized(make_job(inputs, scene, wanted, 0, root, ()), spec.preset or ())
+
+    def views(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:
+        return torch.stack(list(results.encoded.render(gaussians, cameras)))
+
+    for done, (style, result) in enumerate(zip(wanted, results, strict=True), 1):
+        shot = Shot(result.gaussians, results.restyler.unstyled, cameras, views)
+        for name, distortion, strength in missing[style.name]:
+            cell = Cell(name, 0, scene.name, style.name)
+            images = shot.views if distortion is None else distortion.apply(shot, strength)
+            with atomic_directory(cell.images(root)) as folder:
+                for view, image in zip(scene.views, images, strict=True):
+                    save_png(to_pil(image), folder / f"{view}.png")
+            write_json(cell.record(root), msgspec.to_builtins(Record("done")))
+        on_progress(Progress.count(f"rungs of {scene.name}", done, len(wanted)))
+
+
+def _words(text: str) -> list[str]:
+    return list(filter(None, text.split(",")))
