@@ -32,6 +32,7 @@ class ColorHistogram(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"color_histogram": "lower"}
+    takes = ("preds", "style")
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         comparison, style = with_style_images(comparison)

@@ -41,6 +41,7 @@ class CSD(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"csd": "higher"}
+    takes = ("preds", "style")
 
     def __init__(self, *, file: str | None = None) -> None:
         super().__init__()

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from anystyle.contracts import Metric
+from anystyle.contracts import Metric, accepts_tensors
 from anystyle.ranges import Range
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Comparison
@@ -47,6 +47,7 @@ class GeometrySurvival(Metric):
     """
 
     better: ClassVar[Mapping[str, str]] = dict(zip(FIGURES, ("higher", "higher", "lower"), strict=True))
+    takes = ("preds", "cameras", "numbers")
     full_state_update = False
     totals: Tensor
     rows: Tensor
@@ -62,7 +63,7 @@ class GeometrySurvival(Metric):
     def example(cls, folder: Path) -> dict[str, object]:
         return {"min_side": 64}
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         if checked(comparison).cameras is None or not comparison.neighbours():
             return

@@ -54,6 +54,7 @@ class Met3rDepth(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"met3r_depth": "lower"}
+    takes = ("preds", "cameras", "depth", "numbers")
     lacking: ClassVar[str] = "no two views with depth and cameras that see the same (folders give both by --depth)"
 
     def __init__(self, *, weights: Weights = "auto") -> None:

@@ -29,6 +29,7 @@ class Sharpness(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"sharpness": "higher"}
+    takes = ("preds", "target")
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         ratio = total_variation(comparison.stylized) / (variation := total_variation(comparison.content))

@@ -38,6 +38,7 @@ class StructureDistance(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"structure_distance": "lower"}
+    takes = ("preds", "target")
 
     def __init__(self, *, weights: Weights = "auto") -> None:
         super().__init__()

@@ -33,6 +33,7 @@ class DepthAgreement(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"depth_agreement": "higher"}
+    takes = ("preds", "cameras", "depth")
     lacking: ClassVar[str] = "no two views with depth and cameras (folders give both by --depth)"
 
     def __init__(self, *, tolerance: Positive = 0.05) -> None:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import accepts_tensors
 from anystyle.metrics.base import NetworkMetric, mean_per_row, pairs, stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import embeddings, lpips
@@ -40,6 +41,7 @@ class ArtFID(NetworkMetric):
     """
 
     better: ClassVar[Mapping[str, str]] = dict.fromkeys(("art_fid", "fid", "fid_infinity", "lpips"), "lower")
+    takes = ("preds", "target", "style")
     stylized: list[Tensor]
     style: list[Tensor]
     total: Tensor
@@ -60,7 +62,7 @@ class ArtFID(NetworkMetric):
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("rows", torch.zeros((), dtype=torch.long), dist_reduce_fx="sum")
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         comparison, style = with_style_images(comparison)
         distances = mean_per_row(

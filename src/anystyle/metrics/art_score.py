@@ -33,6 +33,7 @@ class ArtScore(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}
+    takes = ("preds",)
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()

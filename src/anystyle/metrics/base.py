@@ -12,7 +12,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 from torchmetrics.utilities import dim_zero_cat
 
-from anystyle.contracts import Metric
+from anystyle.contracts import Metric, accepts_tensors
 from anystyle.errors import UserError
 from anystyle.types import Comparison, Source
 from anystyle.types.network import checksums, stand_ins
@@ -82,7 +82,7 @@ class RowMean(Metric, ABC):
         """One number for each row that can be judged."""
 
     @final
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         values = self.of_rows(checked(comparison))
         values = values[~values.isnan()].to(self.total)

@@ -47,6 +47,7 @@ class CFSD(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}
+    takes = ("preds", "target")
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()

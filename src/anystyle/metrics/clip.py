@@ -32,6 +32,7 @@ class ClipStyle(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_style": "higher"}
+    takes = ("preds", "style")
 
     def __init__(self, *, style_encoder: StyleEncoder, size: int | None = 224) -> None:
         super().__init__()
@@ -103,6 +104,7 @@ class ClipDirection(ClipStyle):
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_direction": "higher"}
+    takes = ("preds", "target", "style")
 
     def of_views(self, comparison: Comparison, row: int) -> Float[Tensor, "V D"]:
         return super().of_views(comparison, row) - self.embed(comparison.content[row])

@@ -30,6 +30,7 @@ class ColorMatch(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"color_match": "lower"}
+    takes = ("preds", "style")
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference") -> None:
         super().__init__()

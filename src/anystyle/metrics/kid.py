@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import accepts_tensors
 from anystyle.metrics.base import NetworkMetric, pairs, stacked, with_style_images
 from anystyle.ranges import Range
 from anystyle.types import Comparison
@@ -34,6 +35,7 @@ class KID(NetworkMetric):
     """
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}
+    takes = ("preds", "style")
     stylized: list[Tensor]
     style: list[Tensor]
 
@@ -45,7 +47,7 @@ class KID(NetworkMetric):
         self.add_state("stylized", [], dist_reduce_fx="cat")
         self.add_state("style", [], dist_reduce_fx="cat")
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         comparison, style = with_style_images(comparison)
         self.stylized += [

@@ -32,6 +32,7 @@ class LPIPS(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
+    takes = ("preds", "target")
     gray: ClassVar[bool] = False
 
     def __init__(

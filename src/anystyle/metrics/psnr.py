@@ -27,6 +27,7 @@ class PSNR(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"psnr": "higher"}
+    takes = ("preds", "target")
 
     def __init__(self, *, most: Positive = 100.0) -> None:
         super().__init__()

@@ -30,6 +30,7 @@ class SSIM(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"ssim": "higher"}
+    takes = ("preds", "target")
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         height, width = comparison.stylized.shape[-2:]

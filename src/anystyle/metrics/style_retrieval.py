@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Metric
+from anystyle.contracts import Metric, accepts_tensors
 from anystyle.metrics.base import stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import networks
@@ -39,6 +39,7 @@ class Retrieval(Metric):
     """
 
     full_state_update = False
+    takes = ("preds", "style", "scenes")
     rows: list[Tensor]
     styles: list[Tensor]
     scenes: list[Tensor]
@@ -52,7 +53,7 @@ class Retrieval(Metric):
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Vectors of sRGB images in [0, 1]."""
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         comparison, image = with_style_images(comparison)
         for row, stylized in enumerate(comparison.stylized):

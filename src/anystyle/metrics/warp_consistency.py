@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from anystyle.contracts import Correspondence
+from anystyle.contracts import Correspondence, accepts_tensors
 from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.base import NetworkMetric
 from anystyle.types import Comparison, Frames
@@ -74,6 +74,7 @@ class WarpConsistency(NetworkMetric):
         **dict.fromkeys(("warp_rmse_short", "warp_lpips_short", "warp_rmse_long", "warp_lpips_long"), "lower"),
         **dict.fromkeys(("warp_coverage_short", "warp_coverage_long"), "higher"),
     }
+    takes = ("preds", "target", "cameras", "depth", "numbers")
     totals: Tensor
     rows: Tensor
 
@@ -99,7 +100,7 @@ class WarpConsistency(NetworkMetric):
         self.add_state("totals", torch.zeros(2, 3, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("rows", torch.zeros(2, dtype=torch.long), dist_reduce_fx="sum")
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         checked(comparison)
         for index, gap in enumerate(RANGES.values()):
