@@ -64,6 +64,13 @@ def accepts_tensors(update: Callable[[Any, Comparison], None], takes: Sequence[s
     return from_tensors
 
 
+def _gathered(tensor: Tensor, group: Any = None) -> list[Tensor]:
+    """The state of every process that has one: torchmetrics' own gathering ends a process that has taken in nothing."""
+    found: list[Any] = [None] * torch.distributed.get_world_size(group)
+    torch.distributed.all_gather_object(found, tensor.cpu(), group=group)
+    return [each.to(tensor.device) for each in found if each.numel()] or [tensor]
+
+
 class Metric(Pluggable, torchmetrics.Metric, ABC):
     """A figure of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor.
 
@@ -106,6 +113,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
         # A MetricCollection goes on updating only one of the metrics that have equal states after the first update, as
         # those of two networks have on equal images. This state is each metric's own.
         self.add_state("own", torch.tensor([*uuid4().bytes]), dist_reduce_fx="max")
+        self.dist_sync_fn = _gathered
 
     @abstractmethod
     def update(self, *args: Any, **kwargs: Any) -> None:

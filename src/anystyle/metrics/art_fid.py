@@ -96,7 +96,7 @@ class ArtFID(NetworkMetric):
             )
         fid = frechet_distance(stylized, style)
         smallest = 5000 if self.rounded else max(2, num_images // 2)
-        fid_infinity = frechet_infinity(stylized, style, smallest=smallest)
+        fid_infinity = fid if num_images <= smallest else frechet_infinity(stylized, style, smallest=smallest)
         art_fid = (1 + distance) * (1 + fid_infinity)
         figures = {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float()}
         return figures | {self.network.name: distance}

@@ -41,8 +41,7 @@ class ColorMatch(RowMean):
         target = self._histograms(style)
 
         def distances(batch: Pairs) -> Tensor:
-            preds = self._histograms(batch.preds)
-            return hellinger(preds, target[batch.row].expand_as(preds))
+            return hellinger(self._histograms(batch.preds), target[batch.rows])
 
         return mean_per_row(comparison, distances)
 

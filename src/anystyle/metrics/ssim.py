@@ -40,15 +40,21 @@ class SSIM(RowMean):
 
 
 def _similarities(batch: Pairs) -> Float[Tensor, " M"]:
-    x, y = batch.preds.double(), batch.target.double()  # variances are small differences of means
-    mean_x, mean_y, xx, yy, xy = map(_windowed, (x, y, x * x, y * y, x * y))
-    variances = (xx - mean_x**2).clamp_min(0) + (yy - mean_y**2).clamp_min(0)
-    covariance = xy - mean_x * mean_y
-    luminance = (2 * mean_x * mean_y + C1) / (mean_x**2 + mean_y**2 + C1)
-    return (luminance * (2 * covariance + C2) / (variances + C2)).mean((1, 2, 3))
+    # One channel at a time fits a CPU's cache.
+    planes = zip(batch.preds.flatten(0, 1), batch.target.flatten(0, 1), strict=True)
+    return torch.stack([_similarity(*plane) for plane in planes]).unflatten(0, (-1, 3)).mean(1)
 
 
-def _windowed(image: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
+def _similarity(x: Float[Tensor, "H W"], y: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
+    x, y = x.double(), y.double()  # variances are small differences of means
+    mean_x, mean_y, squares, product = map(_windowed, (x, y, x * x + y * y, x * y))
+    means, squared_means = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
+    luminance = (2 * means + C1) / (squared_means + C1)
+    variances = (squares - squared_means).clamp_min(0)
+    return (luminance * (2 * (product - means) + C2) / (variances + C2)).mean()
+
+
+def _windowed(image: Float[Tensor, "H W"]) -> Float[Tensor, "h w"]:
     """Means over the window where it lies inside of the image: a sum of shifted copies along each axis."""
     distance = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
     weights = torch.softmax(-(distance**2) / (2 * SIGMA**2), 0).tolist()
