@@ -22,11 +22,10 @@ class ColorHistogram(RowMean):
     alone. Rows without a style image are left out.
 
     Example:
-        >>> from anystyle.types import Style
-        >>> black, gray = torch.zeros(1, 1, 3, 8, 8), torch.zeros(1, 3, 8, 8)
+        >>> black, gray = torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 8)
         >>> gray[..., :6] = 0.5
         >>> metric = ColorHistogram()
-        >>> metric.update(Comparison(content=black, stylized=black, style=Style(image=gray)))
+        >>> metric.update(black, style=gray)
         >>> metric.compute()
         {'color_histogram': tensor(0.7500)}
     """

@@ -41,8 +41,7 @@ class GeometrySurvival(Metric):
     Example:
         >>> intrinsics, poses = torch.eye(3).repeat(1, 2, 1, 1), torch.eye(4).repeat(1, 2, 1, 1)
         >>> flat = torch.full((1, 2, 3, 64, 64), 0.5)  # SIFT finds nothing
-        >>> known = {"cameras": Cameras(poses, intrinsics, (64, 64))}
-        >>> GeometrySurvival(min_side=64)(Comparison(content=flat, stylized=flat, **known))
+        >>> GeometrySurvival(min_side=64)(flat, cameras=Cameras(poses, intrinsics, (64, 64)))
         {'pose_auc': tensor(0.), 'registered': tensor(0.), 'camera_error': tensor(nan)}
     """
 

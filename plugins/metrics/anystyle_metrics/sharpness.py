@@ -21,9 +21,9 @@ class Sharpness(RowMean):
     are flat are left out.
 
     Example:
-        >>> photograph = torch.tensor([0.0, 0.4, 0.0, 0.4]).expand(1, 1, 3, 4, 4)
+        >>> photograph = torch.tensor([0.0, 0.4, 0.0, 0.4]).expand(1, 3, 4, 4)
         >>> metric = Sharpness()
-        >>> metric.update(Comparison(content=photograph, stylized=0.5 * photograph))
+        >>> metric.update(0.5 * photograph, photograph)
         >>> metric.compute()
         {'sharpness': tensor(0.5000)}
     """
@@ -38,5 +38,5 @@ class Sharpness(RowMean):
 
 def total_variation(images: Float[Tensor, "R V 3 H W"]) -> Float[Tensor, " R"]:
     """Mean absolute difference of pixels beside and below each other; 0 for images of one pixel."""
-    across, down = (images.diff(dim=axis).abs_().flatten(1) for axis in (-1, -2))
-    return (across.sum(1).double() + down.sum(1)) / (across.shape[1] + down.shape[1])
+    steps = ((row.diff(dim=-1).abs_(), row.diff(dim=-2).abs_()) for row in images)
+    return torch.stack([(x.sum().double() + y.sum()) / (x.numel() + y.numel()) for x, y in steps])

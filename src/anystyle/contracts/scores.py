@@ -40,25 +40,22 @@ def accepts_tensors(update: Callable[[Any, Comparison], None], takes: Sequence[s
     The framework makes one of every ``update``; written above it, type checkers know. No gradient is recorded.
     """
     known = inspect.signature(Comparison.from_images).parameters
-    required = [name for name in takes or ("preds", "target") if known[name].kind is not inspect.Parameter.KEYWORD_ONLY]
-    shown = [
-        known[name].replace(default=inspect.Parameter.empty) if name in required else known[name]
-        for name in takes or known
-    ]
-    signature = inspect.Signature([inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD), *shown])
+    shown = [inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)]
+    for each in (known[name] for name in takes or known):
+        optional = each.kind is each.KEYWORD_ONLY or each.name not in (takes or ("preds", "target"))
+        shown.append(each if optional else each.replace(default=each.empty))
+    signature = inspect.Signature(shown)
 
     @functools.wraps(update)
     def from_tensors(self: Any, *args: Any, **kwargs: Any) -> None:
-        if args and isinstance(args[0], Comparison):
-            comparison = args[0]
-        else:
+        if not (args and isinstance(args[0], Comparison)):
             try:
                 given = signature.bind(self, *args, **kwargs).arguments
             except TypeError as error:
                 raise TypeError(f"{type(self).__name__}.update({', '.join(signature.parameters)}): {error}") from None
-            comparison = Comparison.from_images(**{name: given[name] for name in given if name != "self"})
+            args, kwargs = (Comparison.from_images(**{name: given[name] for name in given if name != "self"}),), {}
         with torch.no_grad():
-            update(self, comparison)
+            update(self, *args, **kwargs)
 
     vars(from_tensors)["__signature__"] = signature
     return from_tensors

@@ -1,17 +1,10 @@
 """Metrics: each a ``torchmetrics.Metric`` that is usable on its own.
 
-Each is imported when it is first asked for, a plugin's by the name of its class, too::
-
-    from anystyle.metrics import LPIPS, ArtFID, Sharpness
-
-    metrics = torchmetrics.MetricCollection([LPIPS(), ArtFID(), Sharpness()])
-    metrics.update(preds=stylized, target=photographs, style=styles)
-    metrics.compute()
-
-Images are sRGB in [0, 1], ``[N, 3, H, W]`` or scenes of several views ``[B, V, 3, H, W]``
-(:meth:`Comparison.from_images <anystyle.types.Comparison.from_images>`); ``metric.update(comparison)`` does the same.
-``metric.compute()`` gives the figures over all, and a call takes in and gives the figures of what it took in alone.
-``metric.stand_ins`` names the figures that rest on a stand-in.
+``from anystyle.metrics import LPIPS, ArtFID, Sharpness`` imports a metric when it is first asked for, a plugin's too.
+``LPIPS().update(preds, target)`` takes in sRGB images in [0, 1], ``[N, 3, H, W]`` or in scenes ``[B, V, 3, H, W]``
+(:meth:`Comparison.from_images <anystyle.types.Comparison.from_images>`), or a comparison; ``compute()`` gives the
+figures over all, and a call takes in and gives the figures of what it took in alone. ``stand_ins`` names the figures
+that rest on a stand-in.
 """
 
 from typing import TYPE_CHECKING, Any

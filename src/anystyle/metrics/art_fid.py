@@ -33,9 +33,9 @@ class ArtFID(NetworkMetric):
             are missing.
 
     Example:
-        >>> images = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
         >>> metric = ArtFID(weights="stand_in")
-        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # results are photographs and styles
+        >>> metric.update(images, images, style=images)  # results are photographs and styles
         >>> print(f"{metric.compute()['art_fid']:.3f}")
         1.000
     """

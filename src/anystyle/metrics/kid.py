@@ -27,9 +27,9 @@ class KID(NetworkMetric):
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
 
     Example:
-        >>> images = torch.rand(2, 1, 3, 75, 75, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(2, 3, 75, 75, generator=torch.Generator().manual_seed(0))
         >>> metric = KID(weights="stand_in", size=75)
-        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # unbiased: equal sets may be below 0
+        >>> metric.update(images, images)  # unbiased: equal sets may be below 0
         >>> print(f"{metric.compute()['kid']:.1f}")
         -0.1
     """

@@ -20,11 +20,12 @@ C1, C2 = 0.01**2, 0.03**2
 class SSIM(RowMean):
     """Structural similarity of reconstructions (Wang et al. 2004) with the published Gaussian window, in [-1, 1].
 
-    Each channel by itself, averaged over the pixels whose window lies inside of the image.
+    ``(2 m n + C1) (2 cov + C2) / ((m^2 + n^2 + C1) (var + var' + C2))``, each channel by itself, averaged over the
+    pixels whose window lies inside of the image.
 
     Example:
         >>> metric = SSIM()
-        >>> metric.update(Comparison(torch.zeros(1, 1, 3, 16, 16), torch.full((1, 1, 3, 16, 16), 0.1)))
+        >>> metric.update(torch.full((1, 3, 16, 16), 0.1), torch.zeros(1, 3, 16, 16))
         >>> metric.compute()  # the luminance term, 0.01^2 / (0.1^2 + 0.01^2)
         {'ssim': tensor(0.0099)}
     """

@@ -99,9 +99,9 @@ class StyleRetrieval(Retrieval):
     A judge of what was not trained with that network; ``magenta_retrieval`` is another.
 
     Example:
-        >>> images = torch.rand(2, 1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
         >>> metric = StyleRetrieval()
-        >>> metric.update(Comparison(images, images, Style(images[:, 0]), scenes=("room", "room")))
+        >>> metric.update(images, images)
         >>> metric.compute()  # results are their style images
         {'style_retrieval': tensor(1.), 'style_retrieval_gray': tensor(1.)}
     """

@@ -15,8 +15,8 @@ class Timing(RowMean):
     """Seconds from a style to the rendered views, averaged over scenes and styles; rows without them are left out.
 
     Example:
-        >>> images, metric = torch.zeros(2, 1, 3, 8, 8), Timing()
-        >>> metric.update(Comparison(images, images, seconds=torch.tensor([1.0, 2.0])))
+        >>> images, metric = torch.zeros(2, 3, 8, 8), Timing()
+        >>> metric.update(images, seconds=torch.tensor([1.0, 2.0]))
         >>> metric.compute()
         {'seconds': tensor(1.5000)}
     """

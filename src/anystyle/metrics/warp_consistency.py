@@ -65,7 +65,7 @@ class WarpConsistency(NetworkMetric):
         >>> frames = torch.arange(8).view(1, 8, 1, 1, 1) * torch.full((1, 8, 3, 32, 32), 0.1)  # each 0.1 brighter
         >>> still = Cameras(torch.eye(4).repeat(1, 8, 1, 1), torch.eye(3).repeat(1, 8, 1, 1), (32, 32))
         >>> metric = WarpConsistency(correspondence=ToyCorrespondence(), variant="corrected", weights="stand_in")
-        >>> metric.update(Comparison(frames, frames, cameras=still, depth=torch.ones(1, 8, 32, 32)))
+        >>> metric.update(frames, frames, cameras=still, depth=torch.ones(1, 8, 32, 32))
         >>> print(*(f"{metric.compute()[f'warp_rmse_{reach}']:.3f}" for reach in ("short", "long")))
         0.100 0.700
     """

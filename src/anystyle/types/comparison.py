@@ -60,7 +60,7 @@ class Comparison(Value):
             preds: The stylized images.
             target: The photographs, as many of the same size; ``preds`` again if a metric has no use for them.
             style: A style image for each scene, ``[B, 3, h, w]``, or one for all, ``[1, 3, h, w]``; or a text for each.
-            cameras: Of the views, where known.
+            cameras: The cameras of the views, where known.
             depth: Distance along z, ``[B, V, H, W]``, where known; 0 where there is none.
             seconds: What each scene took, ``[B]``, where known.
             scenes: A name for each; scenes without names are one scene in several styles.
@@ -70,11 +70,12 @@ class Comparison(Value):
             ShapeError: An argument, which is named, has another shape, type or range.
         """
         stylized = _images(preds, "preds")
-        content = stylized
-        if target is not None and (content := _images(target, "target")).shape != stylized.shape:
+        content = stylized if target is None else _images(target, "target")
+        if target is not None and content.shape != stylized.shape:
             raise ShapeError(f"target is {kind_and_shape(target)}", f"the shape of preds, {list(preds.shape)}")
         rows = stylized.shape[0]
         if isinstance(style, Tensor):
+            check_tensor(style, Float[Tensor, "B 3 h w"], "style")
             images = _images(style, "style")[:, 0]
             style = Style(images.expand(rows, -1, -1, -1) if len(images) == 1 else images)
         elif style is not None and not isinstance(style, Style):
@@ -170,7 +171,7 @@ def _images(images: Tensor, name: str) -> Float[Tensor, "B V 3 H W"]:
     check_tensor(images, Float[Tensor, "B V 3 H W"] if several else Float[Tensor, "N 3 H W"], name)
     if not images.numel():
         raise ShapeError(f"{name} is {kind_and_shape(images)}", "at least one image")
-    low, high = (float(value) for value in images.aminmax())
+    low, high = map(float, images.aminmax())
     if not (low >= -ROUNDING and high <= 1 + ROUNDING):  # nan is neither
         ways = f"{name} / 255, ({name} + 1) / 2 or {name}.clamp(0, 1) may bring them there"
         raise ShapeError(f"{name} with values from {low:.4g} to {high:.4g}", "sRGB in [0, 1]", ways)

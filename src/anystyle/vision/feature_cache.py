@@ -45,7 +45,7 @@ class FeatureCache:
         for batch in (new[start : start + size] for start in range(0, len(new), size)):
             outputs = compute(images[batch])
             for row, index in enumerate(batch):
-                # A row alone is no part of a larger tensor, which it would keep in memory.
+                # A row of several would keep them all in memory.
                 results[keys[index]] = tuple(o[row].clone() if len(batch) > 1 else o[row] for o in outputs)
         for entry in dict.fromkeys(keys):
             self._entries[entry] = results[entry]
