@@ -237,7 +237,7 @@ def kid(first: Tensor, second: Tensor) -> tuple[Compute, Theirs]:
     return lambda: float(discrepancy(first, second)), theirs
 
 
-def art_fid(side: int = 512, count: int = 6) -> tuple[Compute, Theirs]:
+def art_fid(side: int = 512, count: int = 4) -> tuple[Compute, Theirs]:
     """From files of 512 pixels: no network sees another size."""
     folder = tempfile.TemporaryDirectory()
     root, files = Path(folder.name), sorted(CAPTURES.rglob("*.jpg"))[: 2 * count]

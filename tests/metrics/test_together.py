@@ -12,7 +12,7 @@ import torch
 from anystyle.registry.catalog import catalog
 from anystyle.testing.inputs import comparison
 from anystyle.testing.metric import build
-from anystyle.testing.subject import subject
+from anystyle.testing.subject import seeded, subject
 from tests.support.processes import forking
 
 pytestmark = pytest.mark.slow
@@ -25,7 +25,8 @@ ROWS = 3
 def made(name, folder):
     """A metric of its own, on stand-ins."""
     cls = catalog().find("metric", name).load()
-    return build(subject("metric", cls, cls.example(Path(folder))))
+    with seeded(0):
+        return build(subject("metric", cls, cls.example(Path(folder))))
 
 
 def rows():
