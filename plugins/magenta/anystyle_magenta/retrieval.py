@@ -19,9 +19,9 @@ class MagentaRetrieval(Retrieval):
     An independent judge of models trained with EfficientNet-Lite0, but not of ``model=painter``, which uses it.
 
     Example:
-        >>> images = torch.rand(2, 1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
         >>> metric = MagentaRetrieval()
-        >>> metric.update(Comparison(images, images, Style(images[:, 0]), scenes=("room", "room")))
+        >>> metric.update(images, images)
         >>> metric.compute()  # results are their style images
         {'magenta_retrieval': tensor(1.), 'magenta_retrieval_gray': tensor(1.)}
     """

@@ -22,30 +22,31 @@ class ColorHistogram(RowMean):
     alone. Rows without a style image are left out.
 
     Example:
-        >>> from anystyle.types import Style
-        >>> black, gray = torch.zeros(1, 1, 3, 8, 8), torch.zeros(1, 3, 8, 8)
+        >>> black, gray = torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 8)
         >>> gray[..., :6] = 0.5
         >>> metric = ColorHistogram()
-        >>> metric.update(Comparison(content=black, stylized=black, style=Style(image=gray)))
+        >>> metric.update(black, style=gray)
         >>> metric.compute()
         {'color_histogram': tensor(0.7500)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"color_histogram": "lower"}
+    takes = ("preds", "style")
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         comparison, style = with_style_images(comparison)
         target = rgb_histogram(style)
 
         def distances(batch: Pairs) -> Tensor:
-            return 1 - torch.minimum(rgb_histogram(batch.preds), target[batch.row]).sum(1)
+            return 1 - torch.minimum(rgb_histogram(batch.preds), target[batch.rows]).sum(1)
 
         return mean_per_row(comparison, distances)
 
 
 def rgb_histogram(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 512"]:
     """The share of an image's pixels in each bin, red first; bins are half-open but for the last."""
-    red, green, blue = (images.clamp(0, 1) * BINS).long().clamp_max(BINS - 1).unbind(1)
-    index = ((red * BINS + green) * BINS + blue).flatten(1)
-    counts = torch.zeros(len(images), BINS**3, dtype=torch.float64, device=images.device)
-    return counts.scatter_add_(1, index, torch.ones_like(index, dtype=counts.dtype)) / index.shape[1]
+    red, green, blue = (images * BINS).clamp_(0, BINS - 1).int().flatten(2).unbind(1)
+    image = torch.arange(len(images), device=images.device, dtype=torch.int32)[:, None]
+    index = ((image * BINS + red) * BINS + green) * BINS + blue
+    counts = torch.bincount(index.flatten(), minlength=len(images) * BINS**3)
+    return counts.view(len(images), -1).double() / index.shape[1]

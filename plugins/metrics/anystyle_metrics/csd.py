@@ -32,15 +32,15 @@ class CSD(RowMean):
 
     Example:
         >>> import tempfile
-        >>> from anystyle.types import Style
         >>> metric = CSD(**CSD.example(Path(tempfile.mkdtemp())))
-        >>> image = torch.full((1, 1, 3, 224, 224), 0.5)
-        >>> figures = metric(Comparison(content=image, stylized=image, style=Style(image=image[0])))
+        >>> image = torch.full((1, 3, 224, 224), 0.5)
+        >>> figures = metric(image, style=image)
         >>> round(float(figures["csd"]), 4)
         1.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"csd": "higher"}
+    takes = ("preds", "style")
 
     def __init__(self, *, file: str | None = None) -> None:
         super().__init__()

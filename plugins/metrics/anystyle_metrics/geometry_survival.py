@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from anystyle.contracts import Metric
+from anystyle.contracts import Metric, accepts_tensors
 from anystyle.ranges import Range
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Comparison
@@ -41,12 +41,12 @@ class GeometrySurvival(Metric):
     Example:
         >>> intrinsics, poses = torch.eye(3).repeat(1, 2, 1, 1), torch.eye(4).repeat(1, 2, 1, 1)
         >>> flat = torch.full((1, 2, 3, 64, 64), 0.5)  # SIFT finds nothing
-        >>> known = {"cameras": Cameras(poses, intrinsics, (64, 64))}
-        >>> GeometrySurvival(min_side=64)(Comparison(content=flat, stylized=flat, **known))
+        >>> GeometrySurvival(min_side=64)(flat, cameras=Cameras(poses, intrinsics, (64, 64)))
         {'pose_auc': tensor(0.), 'registered': tensor(0.), 'camera_error': tensor(nan)}
     """
 
     better: ClassVar[Mapping[str, str]] = dict(zip(FIGURES, ("higher", "higher", "lower"), strict=True))
+    takes = ("preds", "cameras", "numbers")
     full_state_update = False
     totals: Tensor
     rows: Tensor
@@ -62,7 +62,7 @@ class GeometrySurvival(Metric):
     def example(cls, folder: Path) -> dict[str, object]:
         return {"min_side": 64}
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         if checked(comparison).cameras is None or not comparison.neighbours():
             return

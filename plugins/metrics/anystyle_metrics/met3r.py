@@ -47,13 +47,13 @@ class Met3rDepth(NetworkMetric, RowMean):
         >>> views = torch.rand(1, 1, 3, 64, 64).expand(1, 2, 3, 64, 64)
         >>> intrinsics = torch.tensor([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]).repeat(1, 2, 1, 1)
         >>> cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), intrinsics, (64, 64))
-        >>> known = {"depth": torch.ones(1, 2, 64, 64), "cameras": cameras}
-        >>> figure = Met3rDepth(weights="stand_in")(Comparison(content=views, stylized=views, **known))
+        >>> figure = Met3rDepth(weights="stand_in")(views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
         >>> round(float(figure["met3r_depth"]), 3)
         0.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"met3r_depth": "lower"}
+    takes = ("preds", "cameras", "depth", "numbers")
     lacking: ClassVar[str] = "no two views with depth and cameras that see the same (folders give both by --depth)"
 
     def __init__(self, *, weights: Weights = "auto") -> None:

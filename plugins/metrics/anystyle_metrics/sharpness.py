@@ -21,14 +21,15 @@ class Sharpness(RowMean):
     are flat are left out.
 
     Example:
-        >>> photograph = torch.tensor([0.0, 0.4, 0.0, 0.4]).expand(1, 1, 3, 4, 4)
+        >>> photograph = torch.tensor([0.0, 0.4, 0.0, 0.4]).expand(1, 3, 4, 4)
         >>> metric = Sharpness()
-        >>> metric.update(Comparison(content=photograph, stylized=0.5 * photograph))
+        >>> metric.update(0.5 * photograph, photograph)
         >>> metric.compute()
         {'sharpness': tensor(0.5000)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"sharpness": "higher"}
+    takes = ("preds", "target")
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         ratio = total_variation(comparison.stylized) / (variation := total_variation(comparison.content))
@@ -37,5 +38,5 @@ class Sharpness(RowMean):
 
 def total_variation(images: Float[Tensor, "R V 3 H W"]) -> Float[Tensor, " R"]:
     """Mean absolute difference of pixels beside and below each other; 0 for images of one pixel."""
-    steps = [images.diff(dim=axis).abs().flatten(1).double() for axis in (-1, -2)]
-    return torch.cat(steps, dim=1).mean(1)
+    steps = ((row.diff(dim=-1).abs_(), row.diff(dim=-2).abs_()) for row in images)
+    return torch.stack([(x.sum().double() + y.sum()) / (x.numel() + y.numel()) for x, y in steps])

@@ -32,12 +32,13 @@ class StructureDistance(NetworkMetric, RowMean):
 
     Example:
         >>> import torch
-        >>> image = torch.rand(1, 1, 3, 64, 64)
-        >>> StructureDistance(weights="stand_in")(Comparison(content=image, stylized=image))
+        >>> image = torch.rand(1, 3, 64, 64)
+        >>> StructureDistance(weights="stand_in")(image, image)
         {'structure_distance': tensor(0.)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"structure_distance": "lower"}
+    takes = ("preds", "target")
 
     def __init__(self, *, weights: Weights = "auto") -> None:
         super().__init__()

@@ -28,11 +28,12 @@ class DepthAgreement(RowMean):
         >>> still = Cameras(torch.eye(4).repeat(1, 2, 1, 1), torch.eye(3).repeat(1, 2, 1, 1), (32, 32))
         >>> depth = torch.ones(1, 2, 32, 32)
         >>> depth[:, 1, :8] = 2  # a quarter of the wall is farther in the second view
-        >>> DepthAgreement()(Comparison(frames, frames, cameras=still, depth=depth))
+        >>> DepthAgreement()(frames, cameras=still, depth=depth)
         {'depth_agreement': tensor(0.7500)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"depth_agreement": "higher"}
+    takes = ("preds", "cameras", "depth")
     lacking: ClassVar[str] = "no two views with depth and cameras (folders give both by --depth)"
 
     def __init__(self, *, tolerance: Positive = 0.05) -> None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from anystyle.contracts.format import Format
     from anystyle.contracts.protocol import Evaluation, Protocol, Row
     from anystyle.contracts.scene import Method, Reconstruction, Renderer, SceneSource, StyleSource
-    from anystyle.contracts.scores import Correspondence, Loss, Metric
+    from anystyle.contracts.scores import Correspondence, Loss, Metric, accepts_tensors
     from anystyle.contracts.style import (
         Injector,
         Placement,
@@ -82,6 +82,7 @@ __all__ = [
     "Training",
     "Undistortion",
     "Verdict",
+    "accepts_tensors",
     "neutral_embedding",
     "style_tokens",
 ]

@@ -1,10 +1,14 @@
 """What is minimised and what is measured."""
 
+import functools
+import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
+from uuid import uuid4
 
+import torch
 import torchmetrics
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -30,8 +34,46 @@ class Loss(Pluggable, nn.Module, ABC):
         """The term's value for a batch; the framework multiplies by ``weight``."""
 
 
+def accepts_tensors(update: Callable[[Any, Comparison], None], takes: Sequence[str] = ()) -> Callable[..., None]:
+    """An ``update`` that takes a comparison, or the arguments of :meth:`Comparison.from_images` that ``takes`` names.
+
+    The framework makes one of every ``update``; written above it, type checkers know. No gradient is recorded.
+    """
+    known = inspect.signature(Comparison.from_images).parameters
+    shown = [inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)]
+    for each in (known[name] for name in takes or known):
+        optional = each.kind is each.KEYWORD_ONLY or each.name not in (takes or ("preds", "target"))
+        shown.append(each if optional else each.replace(default=each.empty))
+    signature = inspect.Signature(shown)
+
+    @functools.wraps(update)
+    def from_tensors(self: Any, *args: Any, **kwargs: Any) -> None:
+        if not (args and isinstance(args[0], Comparison)):
+            try:
+                given = signature.bind(self, *args, **kwargs).arguments
+            except TypeError as error:
+                raise TypeError(f"{type(self).__name__}.update({', '.join(signature.parameters)}): {error}") from None
+            args, kwargs = (Comparison.from_images(**{name: given[name] for name in given if name != "self"}),), {}
+        with torch.no_grad():
+            update(self, *args, **kwargs)
+
+    vars(from_tensors)["__signature__"] = signature
+    return from_tensors
+
+
+def _gathered(tensor: Tensor, group: Any = None) -> list[Tensor]:
+    """The state of every process that has one: torchmetrics' own gathering ends a process that has taken in nothing."""
+    found: list[Any] = [None] * torch.distributed.get_world_size(group)
+    torch.distributed.all_gather_object(found, tensor.cpu(), group=group)
+    return [each.to(tensor.device) for each in found if each.numel()] or [tensor]
+
+
 class Metric(Pluggable, torchmetrics.Metric, ABC):
-    """A figure of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor."""
+    """A figure of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor.
+
+    An author writes ``update(self, comparison)``. It is called with a :class:`Comparison` or, as metrics of
+    torchmetrics are, with tensors: ``metric.update(preds, target)``.
+    """
 
     many = True
     runtime = ("style_encoder", "correspondence")
@@ -48,6 +90,10 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     weights: Mapping[str, str] = MappingProxyType({})
     """Set by an instance: the SHA-256 of every file of weights that figures rest on, by the file's name."""
 
+    takes: ClassVar[Sequence[str]] = ()
+    """The arguments of :meth:`Comparison.from_images` that ``update`` has in the place of a comparison, the positional
+    ones required; if none is named, all, and ``preds`` and ``target`` required."""
+
     gallery: Sequence[Float[Tensor, "3 h w"]] = ()
     """Set by a protocol: further style images to retrieve from, beside those of the comparisons."""
 
@@ -56,10 +102,19 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         cls.higher_is_better = "lower" not in getattr(cls, "better", {}).values()
+        if not {"takes", "update"}.isdisjoint(vars(cls)):
+            cls.update = accepts_tensors(cls.update, cls.takes)
+
+    def __init__(self) -> None:
+        super().__init__()
+        # A MetricCollection goes on updating only one of the metrics that have equal states after the first update, as
+        # those of two networks have on equal images. This state is each metric's own.
+        self.add_state("own", torch.tensor([*uuid4().bytes]), dist_reduce_fx="max")
+        self.dist_sync_fn = _gathered
 
     @abstractmethod
-    def update(self, comparison: Comparison) -> None:
-        """Take in stylized scenes."""
+    def update(self, *args: Any, **kwargs: Any) -> None:
+        """Take in stylized scenes: ``update(self, comparison: Comparison)``."""
 
     @abstractmethod
     def compute(self) -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import accepts_tensors
 from anystyle.metrics.base import NetworkMetric, mean_per_row, pairs, stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import embeddings, lpips
@@ -32,14 +33,15 @@ class ArtFID(NetworkMetric):
             are missing.
 
     Example:
-        >>> images = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
         >>> metric = ArtFID(weights="stand_in")
-        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # results are photographs and styles
+        >>> metric.update(images, images, style=images)  # results are photographs and styles
         >>> print(f"{metric.compute()['art_fid']:.3f}")
         1.000
     """
 
     better: ClassVar[Mapping[str, str]] = dict.fromkeys(("art_fid", "fid", "fid_infinity", "lpips"), "lower")
+    takes = ("preds", "target", "style")
     stylized: list[Tensor]
     style: list[Tensor]
     total: Tensor
@@ -60,7 +62,7 @@ class ArtFID(NetworkMetric):
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("rows", torch.zeros((), dtype=torch.long), dist_reduce_fx="sum")
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         comparison, style = with_style_images(comparison)
         distances = mean_per_row(
@@ -94,7 +96,7 @@ class ArtFID(NetworkMetric):
             )
         fid = frechet_distance(stylized, style)
         smallest = 5000 if self.rounded else max(2, num_images // 2)
-        fid_infinity = frechet_infinity(stylized, style, smallest=smallest)
+        fid_infinity = fid if num_images <= smallest else frechet_infinity(stylized, style, smallest=smallest)
         art_fid = (1 + distance) * (1 + fid_infinity)
         figures = {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float()}
         return figures | {self.network.name: distance}

@@ -26,13 +26,14 @@ class ArtScore(NetworkMetric, RowMean):
     Example:
         >>> images = torch.ones(1, 2, 3, 32, 32)
         >>> metric, one = ArtScore(weights="stand_in"), ArtScore(weights="stand_in")
-        >>> metric.update(Comparison(images, images))
-        >>> one.update(Comparison(images[:, :1], images[:, :1]))
+        >>> metric.update(images)
+        >>> one.update(images[:, :1])
         >>> float(metric.compute()["art_score"] - one.compute()["art_score"])  # the mean over views
         0.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}
+    takes = ("preds",)
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple, final
 
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 from torchmetrics.utilities import dim_zero_cat
 
-from anystyle.contracts import Metric
+from anystyle.contracts import Metric, accepts_tensors
 from anystyle.errors import UserError
 from anystyle.types import Comparison, Source
 from anystyle.types.network import checksums, stand_ins
@@ -22,18 +22,23 @@ from anystyle.vision.preprocess import checked, finite
 
 
 class Pairs(NamedTuple):
-    """Views of one row of a comparison."""
+    """Views of some rows of a comparison."""
 
-    row: int
+    rows: Int[Tensor, " M"]
     preds: Float[Tensor, "M 3 H W"]
     target: Float[Tensor, "M 3 H W"]
 
 
 def pairs(comparison: Comparison) -> Iterator[Pairs]:
-    """All pairs of a comparison, row by row in batches that a network processes at once."""
-    for row, views in enumerate(zip(comparison.stylized, comparison.content, strict=True)):
-        for preds, target in zip(*(images.split(batch_size(images)) for images in views), strict=True):
-            yield Pairs(row, preds, target)
+    """All pairs of a comparison, row by row, in batches that a network processes at once."""
+    num_rows, views = comparison.stylized.shape[:2]
+    size = batch_size(comparison.stylized[0])
+    together = max(1, size // max(1, views))
+    for start in range(0, num_rows, together):
+        some = slice(start, start + together)
+        rows = torch.arange(num_rows)[some].repeat_interleave(views)
+        parts = (rows, comparison.stylized[some].flatten(0, 1), comparison.content[some].flatten(0, 1))
+        yield from map(Pairs, *(part.split(size) for part in parts))
 
 
 def with_style_images(comparison: Comparison) -> tuple[Comparison, Float[Tensor, "R 3 h w"]]:
@@ -55,10 +60,8 @@ def with_style_images(comparison: Comparison) -> tuple[Comparison, Float[Tensor,
 
 def mean_per_row(comparison: Comparison, value: Callable[[Pairs], Float[Tensor, " M"]]) -> Float[Tensor, " R"]:
     """The mean over each row's views, in float64, of ``value``, which returns a number for each pair."""
-    rows: dict[int, list[Tensor]] = {}
-    for batch in pairs(comparison):
-        rows.setdefault(batch.row, []).append(value(batch))
-    return torch.stack([torch.cat(values).double().mean() for values in rows.values()])
+    values = torch.cat([value(batch) for batch in pairs(comparison)])
+    return values.double().view(comparison.stylized.shape[:2]).mean(1)
 
 
 class RowMean(Metric, ABC):
@@ -82,7 +85,7 @@ class RowMean(Metric, ABC):
         """One number for each row that can be judged."""
 
     @final
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         values = self.of_rows(checked(comparison))
         values = values[~values.isnan()].to(self.total)

@@ -28,10 +28,10 @@ MAX_EXPONENT = 40.0
 class CFSD(NetworkMetric, RowMean):
     """Content feature structural distance: relative entropy of the self-similarities of VGG-19 features (``relu3_1``).
 
-    Every pixel of the photograph's features has a distribution over all pixels, the softmax of inner products of
-    features that were divided by their number of channels; so has every pixel of the stylized image's. Summed over
-    pixels, as published, not averaged: a larger image has a larger distance. Similarities are computed in parts, so
-    that memory does not grow with the square of the image.
+    ``sum p (log p - log q)``, at least 0: every pixel of the photograph's features has a distribution p over all
+    pixels, the softmax of inner products of features that were divided by their number of channels; so has every pixel
+    of the stylized image's, q. Summed over pixels, as published, not averaged: a larger image has a larger distance.
+    Similarities are computed in parts, so that memory does not grow with the square of the image.
 
     Args:
         variant: ``reference`` sums over pixels and has images of 8 bits; ``corrected`` averages over pixels and rounds
@@ -39,14 +39,15 @@ class CFSD(NetworkMetric, RowMean):
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
 
     Example:
-        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> images = torch.rand(1, 3, 32, 32)
         >>> metric = CFSD(weights="stand_in")
-        >>> metric.update(Comparison(images, images))
+        >>> metric.update(images, images)
         >>> print(f"{metric.compute()['cfsd']:.3f}")
         0.000
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}
+    takes = ("preds", "target")
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()

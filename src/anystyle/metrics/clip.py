@@ -24,14 +24,15 @@ class ClipStyle(RowMean):
         size: Side that images are squashed to before, bicubic; none leaves that to the encoder.
 
     Example:
-        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> images = torch.rand(1, 3, 32, 32)
         >>> metric = ClipStyle(style_encoder=inputs.style_encoder(), size=None)
-        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # the result is the style image
+        >>> metric.update(images, images)  # the result is the style image
         >>> print(f"{metric.compute()['clip_style']:.3f}")
         1.000
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_style": "higher"}
+    takes = ("preds", "style")
 
     def __init__(self, *, style_encoder: StyleEncoder, size: int | None = 224) -> None:
         super().__init__()
@@ -95,14 +96,15 @@ class ClipDirection(ClipStyle):
     Averaged over views, in [-1, 1]. A style's text counts if it has one, else its image.
 
     Example:
-        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> images = torch.rand(1, 3, 32, 32)
         >>> metric = ClipDirection(style_encoder=inputs.style_encoder(), size=None)
-        >>> metric.update(Comparison(images, images, Style(text=("waves",))))  # nothing changed
+        >>> metric.update(images, images, ["waves"])  # nothing changed
         >>> float(metric.compute()["clip_direction"])
         0.0
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_direction": "higher"}
+    takes = ("preds", "target", "style")
 
     def of_views(self, comparison: Comparison, row: int) -> Float[Tensor, "V D"]:
         return super().of_views(comparison, row) - self.embed(comparison.content[row])

@@ -16,20 +16,21 @@ from anystyle.vision.statistics import hellinger, rgb_uv_histogram
 class ColorMatch(RowMean):
     """Hellinger distance of RGB-uv histograms (HistoGAN, Afifi et al. 2021; eval_histogan.py), in [0, 1].
 
-    Rows without a style image are left out.
+    ``sqrt(sum (sqrt h - sqrt s)^2) / sqrt 2``. Rows without a style image are left out.
 
     Args:
         variant: ``reference`` has images of 8 bits, as files; ``corrected`` rounds nothing.
 
     Example:
-        >>> images = torch.rand(1, 1, 3, 16, 16)
+        >>> images = torch.rand(1, 3, 16, 16)
         >>> metric = ColorMatch()
-        >>> metric.update(Comparison(images, images, Style(images[:, 0].flip(-1))))  # the same colours elsewhere
+        >>> metric.update(images, images.flip(-1))  # the same colours elsewhere
         >>> print(f"{metric.compute()['color_match']:.3f}")
         0.000
     """
 
     better: ClassVar[Mapping[str, str]] = {"color_match": "lower"}
+    takes = ("preds", "style")
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference") -> None:
         super().__init__()
@@ -40,8 +41,7 @@ class ColorMatch(RowMean):
         target = self._histograms(style)
 
         def distances(batch: Pairs) -> Tensor:
-            preds = self._histograms(batch.preds)
-            return hellinger(preds, target[batch.row].expand_as(preds))
+            return hellinger(self._histograms(batch.preds), target[batch.rows])
 
         return mean_per_row(comparison, distances)
 

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import accepts_tensors
 from anystyle.metrics.base import NetworkMetric, pairs, stacked, with_style_images
 from anystyle.ranges import Range
 from anystyle.types import Comparison
@@ -26,14 +27,15 @@ class KID(NetworkMetric):
         weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
 
     Example:
-        >>> images = torch.rand(2, 1, 3, 75, 75, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(2, 3, 75, 75, generator=torch.Generator().manual_seed(0))
         >>> metric = KID(weights="stand_in", size=75)
-        >>> metric.update(Comparison(images, images, Style(images[:, 0])))  # unbiased: equal sets may be below 0
+        >>> metric.update(images, images)  # unbiased: equal sets may be below 0
         >>> print(f"{metric.compute()['kid']:.1f}")
         -0.1
     """
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}
+    takes = ("preds", "style")
     stylized: list[Tensor]
     style: list[Tensor]
 
@@ -45,7 +47,7 @@ class KID(NetworkMetric):
         self.add_state("stylized", [], dist_reduce_fx="cat")
         self.add_state("style", [], dist_reduce_fx="cat")
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         comparison, style = with_style_images(comparison)
         self.stylized += [

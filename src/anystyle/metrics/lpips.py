@@ -13,7 +13,10 @@ from anystyle.vision.weights import Weights
 
 
 class LPIPS(NetworkMetric, RowMean):
-    """LPIPS of stylized images and photographs (Zhang et al. 2018; eval_artfid.py).
+    """LPIPS of stylized images and photographs (Zhang et al. 2018; eval_artfid.py), at least 0.
+
+    Squared differences of a network's features of unit length, weighted by channel, averaged over pixels and added over
+    layers.
 
     Args:
         backbone: Network of the distance; the published evaluation takes ``alex`` here.
@@ -24,14 +27,15 @@ class LPIPS(NetworkMetric, RowMean):
             are missing.
 
     Example:
-        >>> images = torch.rand(1, 1, 3, 32, 32)
+        >>> images = torch.rand(1, 3, 32, 32)
         >>> metric = LPIPS(weights="stand_in", size=None)
-        >>> metric.update(Comparison(images, images))
+        >>> metric.update(images, images)
         >>> metric.compute()
         {'lpips': tensor(0.)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
+    takes = ("preds", "target")
     gray: ClassVar[bool] = False
 
     def __init__(
@@ -60,10 +64,10 @@ class LPIPSGray(LPIPS):
     """LPIPS of stylized images and photographs, both without colour, so that a palette costs nothing.
 
     Example:
-        >>> images = torch.tensor([0.114, 0.299]).view(1, 2, 1, 1, 1) * torch.ones(1, 2, 3, 32, 32)
-        >>> primary = torch.eye(3)[[2, 0]].view(1, 2, 3, 1, 1).expand_as(images)  # blue and red, as bright as these
+        >>> images = torch.tensor([0.114, 0.299]).view(2, 1, 1, 1) * torch.ones(2, 3, 32, 32)
+        >>> primary = torch.eye(3)[[2, 0]].view(2, 3, 1, 1).expand_as(images)  # blue and red, as bright as these
         >>> metric = LPIPSGray(weights="stand_in", size=None)
-        >>> metric.update(Comparison(images, primary.contiguous()))
+        >>> metric.update(images, primary)
         >>> print(f"{metric.compute()['lpips_gray']:.3f}")
         0.000
     """

@@ -20,16 +20,18 @@ C1, C2 = 0.01**2, 0.03**2
 class SSIM(RowMean):
     """Structural similarity of reconstructions (Wang et al. 2004) with the published Gaussian window, in [-1, 1].
 
-    Each channel by itself, averaged over the pixels whose window lies inside of the image.
+    ``(2 m n + C1) (2 cov + C2) / ((m^2 + n^2 + C1) (var + var' + C2))``, each channel by itself, averaged over the
+    pixels whose window lies inside of the image.
 
     Example:
         >>> metric = SSIM()
-        >>> metric.update(Comparison(torch.zeros(1, 1, 3, 16, 16), torch.full((1, 1, 3, 16, 16), 0.1)))
+        >>> metric.update(torch.full((1, 3, 16, 16), 0.1), torch.zeros(1, 3, 16, 16))
         >>> metric.compute()  # the luminance term, 0.01^2 / (0.1^2 + 0.01^2)
         {'ssim': tensor(0.0099)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"ssim": "higher"}
+    takes = ("preds", "target")
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         height, width = comparison.stylized.shape[-2:]
@@ -39,15 +41,21 @@ class SSIM(RowMean):
 
 
 def _similarities(batch: Pairs) -> Float[Tensor, " M"]:
-    x, y = batch.preds.double(), batch.target.double()  # variances are small differences of means
-    mean_x, mean_y, xx, yy, xy = map(_windowed, (x, y, x * x, y * y, x * y))
-    variances = (xx - mean_x**2).clamp_min(0) + (yy - mean_y**2).clamp_min(0)
-    covariance = xy - mean_x * mean_y
-    luminance = (2 * mean_x * mean_y + C1) / (mean_x**2 + mean_y**2 + C1)
-    return (luminance * (2 * covariance + C2) / (variances + C2)).mean((1, 2, 3))
+    # One channel at a time fits a CPU's cache.
+    planes = zip(batch.preds.flatten(0, 1), batch.target.flatten(0, 1), strict=True)
+    return torch.stack([_similarity(*plane) for plane in planes]).unflatten(0, (-1, 3)).mean(1)
 
 
-def _windowed(image: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
+def _similarity(x: Float[Tensor, "H W"], y: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
+    x, y = x.double(), y.double()  # variances are small differences of means
+    mean_x, mean_y, squares, product = map(_windowed, (x, y, x * x + y * y, x * y))
+    means, squared_means = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
+    luminance = (2 * means + C1) / (squared_means + C1)
+    variances = (squares - squared_means).clamp_min(0)
+    return (luminance * (2 * (product - means) + C2) / (variances + C2)).mean()
+
+
+def _windowed(image: Float[Tensor, "H W"]) -> Float[Tensor, "h w"]:
     """Means over the window where it lies inside of the image: a sum of shifted copies along each axis."""
     distance = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
     weights = torch.softmax(-(distance**2) / (2 * SIGMA**2), 0).tolist()

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Metric
+from anystyle.contracts import Metric, accepts_tensors
 from anystyle.metrics.base import stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import networks
@@ -39,6 +39,7 @@ class Retrieval(Metric):
     """
 
     full_state_update = False
+    takes = ("preds", "style", "scenes")
     rows: list[Tensor]
     styles: list[Tensor]
     scenes: list[Tensor]
@@ -52,7 +53,7 @@ class Retrieval(Metric):
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Vectors of sRGB images in [0, 1]."""
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         comparison, image = with_style_images(comparison)
         for row, stylized in enumerate(comparison.stylized):
@@ -98,9 +99,9 @@ class StyleRetrieval(Retrieval):
     A judge of what was not trained with that network; ``magenta_retrieval`` is another.
 
     Example:
-        >>> images = torch.rand(2, 1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
         >>> metric = StyleRetrieval()
-        >>> metric.update(Comparison(images, images, Style(images[:, 0]), scenes=("room", "room")))
+        >>> metric.update(images, images)
         >>> metric.compute()  # results are their style images
         {'style_retrieval': tensor(1.), 'style_retrieval_gray': tensor(1.)}
     """

@@ -15,13 +15,14 @@ class Timing(RowMean):
     """Seconds from a style to the rendered views, averaged over scenes and styles; rows without them are left out.
 
     Example:
-        >>> images, metric = torch.zeros(2, 1, 3, 8, 8), Timing()
-        >>> metric.update(Comparison(images, images, seconds=torch.tensor([1.0, 2.0])))
+        >>> images, metric = torch.zeros(2, 3, 8, 8), Timing()
+        >>> metric.update(images, seconds=torch.tensor([1.0, 2.0]))
         >>> metric.compute()
         {'seconds': tensor(1.5000)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"seconds": "lower"}
+    takes = ("preds", "seconds")
     timed: ClassVar[bool] = True
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from anystyle.contracts import Correspondence
+from anystyle.contracts import Correspondence, accepts_tensors
 from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.base import NetworkMetric
 from anystyle.types import Comparison, Frames
@@ -65,7 +65,7 @@ class WarpConsistency(NetworkMetric):
         >>> frames = torch.arange(8).view(1, 8, 1, 1, 1) * torch.full((1, 8, 3, 32, 32), 0.1)  # each 0.1 brighter
         >>> still = Cameras(torch.eye(4).repeat(1, 8, 1, 1), torch.eye(3).repeat(1, 8, 1, 1), (32, 32))
         >>> metric = WarpConsistency(correspondence=ToyCorrespondence(), variant="corrected", weights="stand_in")
-        >>> metric.update(Comparison(frames, frames, cameras=still, depth=torch.ones(1, 8, 32, 32)))
+        >>> metric.update(frames, frames, cameras=still, depth=torch.ones(1, 8, 32, 32))
         >>> print(*(f"{metric.compute()[f'warp_rmse_{reach}']:.3f}" for reach in ("short", "long")))
         0.100 0.700
     """
@@ -74,6 +74,7 @@ class WarpConsistency(NetworkMetric):
         **dict.fromkeys(("warp_rmse_short", "warp_lpips_short", "warp_rmse_long", "warp_lpips_long"), "lower"),
         **dict.fromkeys(("warp_coverage_short", "warp_coverage_long"), "higher"),
     }
+    takes = ("preds", "target", "cameras", "depth", "numbers")
     totals: Tensor
     rows: Tensor
 
@@ -99,7 +100,7 @@ class WarpConsistency(NetworkMetric):
         self.add_state("totals", torch.zeros(2, 3, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("rows", torch.zeros(2, dtype=torch.long), dist_reduce_fx="sum")
 
-    @torch.no_grad()
+    @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         checked(comparison)
         for index, gap in enumerate(RANGES.values()):

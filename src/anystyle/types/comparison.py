@@ -1,5 +1,6 @@
 """Inputs of losses, metrics and correspondences."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from jaxtyping import Bool, Float
@@ -7,8 +8,11 @@ from torch import Tensor
 
 from anystyle.types.network import StyleEmbedding
 from anystyle.types.scene import Gaussians, Renders, Scene
-from anystyle.types.shapes import Value
+from anystyle.types.shapes import ShapeError, Value, check_fields, check_tensor, kind_and_shape
 from anystyle.types.views import Cameras, Style, Views
+
+ROUNDING = 1e-3
+"""How far outside of [0, 1] values of images may lie."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,52 @@ class Comparison(Value):
     styles: tuple[str, ...] = ()
     seconds: Float[Tensor, " B"] | None = None
     numbers: tuple[int, ...] = ()
+
+    @classmethod
+    def from_images(
+        cls,
+        preds: Tensor,
+        target: Tensor | None = None,
+        style: Tensor | Sequence[str] | Style | None = None,
+        *,
+        cameras: Cameras | None = None,
+        depth: Tensor | None = None,
+        seconds: Tensor | None = None,
+        scenes: Sequence[str] = (),
+        numbers: Sequence[int] = (),
+    ) -> "Comparison":
+        """Images ``[N, 3, H, W]``, each a scene of one view, or scenes ``[B, V, 3, H, W]``; sRGB in [0, 1].
+
+        Args:
+            preds: The stylized images.
+            target: The photographs, as many of the same size; ``preds`` again if a metric has no use for them.
+            style: A style image for each scene, ``[B, 3, h, w]``, or one for all, ``[1, 3, h, w]``; or a text for each.
+            cameras: The cameras of the views, where known.
+            depth: Distance along z, ``[B, V, H, W]``, where known; 0 where there is none.
+            seconds: What each scene took, ``[B]``, where known.
+            scenes: A name for each; scenes without names are one scene in several styles.
+            numbers: The views' numbers in their sequence, ascending.
+
+        Raises:
+            ShapeError: An argument, which is named, has another shape, type or range.
+        """
+        stylized = _images(preds, "preds")
+        content = stylized if target is None else _images(target, "target")
+        if target is not None and content.shape != stylized.shape:
+            raise ShapeError(f"target is {kind_and_shape(target)}", f"the shape of preds, {list(preds.shape)}")
+        rows = stylized.shape[0]
+        if isinstance(style, Tensor):
+            check_tensor(style, Float[Tensor, "B 3 h w"], "style")
+            images = _images(style, "style")[:, 0]
+            style = Style(images.expand(rows, -1, -1, -1) if len(images) == 1 else images)
+        elif style is not None and not isinstance(style, Style):
+            style = Style(text=tuple(style))
+        for name, words in (("scenes", scenes), ("style", style.text if style else None)):
+            if words and len(words) != rows:
+                raise ShapeError(f"{name} has {len(words)} names", f"one for each of {rows} scenes")
+        given = cls(content, stylized, style, cameras, depth, tuple(scenes), (), seconds, tuple(numbers))
+        check_fields(given)
+        return given
 
     def neighbours(self, gap: int = 1) -> list[tuple[int, int]]:
         """The places of every view and of the one that is ``gap`` later in the sequence, where both are there.
@@ -114,3 +164,15 @@ class Flow(Value):
 
     displacement: Float[Tensor, "M 2 H W"]
     visible: Bool[Tensor, "M H W"]
+
+
+def _images(images: Tensor, name: str) -> Float[Tensor, "B V 3 H W"]:
+    several = isinstance(images, Tensor) and images.ndim == 5
+    check_tensor(images, Float[Tensor, "B V 3 H W"] if several else Float[Tensor, "N 3 H W"], name)
+    if not images.numel():
+        raise ShapeError(f"{name} is {kind_and_shape(images)}", "at least one image")
+    low, high = map(float, images.aminmax())
+    if not (low >= -ROUNDING and high <= 1 + ROUNDING):  # nan is neither
+        ways = f"{name} / 255, ({name} + 1) / 2 or {name}.clamp(0, 1) may bring them there"
+        raise ShapeError(f"{name} with values from {low:.4g} to {high:.4g}", "sRGB in [0, 1]", ways)
+    return (images if several else images[:, None]).float()

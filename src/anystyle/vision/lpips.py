@@ -73,7 +73,9 @@ class Lpips(Frozen):
         self, preds: Sequence[Float[Tensor, "M _ _ _"]], target: Sequence[Float[Tensor, "M _ _ _"]]
     ) -> Float[Tensor, " M"]:
         """The distances of pairs of images, from their :meth:`describe`."""
-        layers = [(one - other).square().sum(1).mean((1, 2)) for one, other in zip(preds, target, strict=True)]
+        layers = [
+            (one - other).square().sum((1, 2, 3)) / one[0, 0].numel() for one, other in zip(preds, target, strict=True)
+        ]
         return torch.stack(layers).sum(0)
 
     def forward(self, preds: Float[Tensor, "M 3 H W"], target: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:

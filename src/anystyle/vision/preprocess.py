@@ -40,11 +40,10 @@ def as_pillow(
     kernel: Image.Resampling = Image.Resampling.BILINEAR,
 ) -> Float[Tensor, "M 3 h w"]:
     """Images resized by Pillow as in the published scripts: with antialiasing, 8 bits before and after."""
-    eight = (images.clamp(0, 1) * 255).round().byte().cpu().permute(0, 2, 3, 1).contiguous().numpy()
+    planes = images.clamp(0, 1).mul_(255).round_().byte().cpu().flatten(0, 1).contiguous().numpy()
     size = shape[1], shape[0]
-    resized = [np.asarray(Image.fromarray(one).resize(size, kernel)) for one in eight]
-    back = torch.from_numpy(np.stack(resized)).to(images.device).permute(0, 3, 1, 2)
-    return back.to(images.dtype).contiguous() / 255
+    resized = np.stack([np.asarray(Image.fromarray(plane).resize(size, kernel)) for plane in planes])
+    return torch.from_numpy(resized).to(images.device).unflatten(0, images.shape[:2]).to(images.dtype) / 255
 
 
 def normalised(
@@ -103,7 +102,8 @@ def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M
 
 def finite(images: Float[Tensor, "*batch"], what: str) -> Float[Tensor, "*batch"]:
     """The same images, or a UserError if a value is NaN or infinite."""
-    if num_bad := int((~torch.isfinite(images)).sum()):
+    # Adding is a tenth of the work of testing each value.
+    if not images.sum().isfinite() and (num_bad := int((~torch.isfinite(images)).sum())):
         raise UserError(f"{what} hold {num_bad} values that are NaN or infinite; a metric needs numbers in [0, 1]")
     return images
 
