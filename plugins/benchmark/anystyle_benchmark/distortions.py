@@ -32,7 +32,7 @@ class Shot:
     Args:
         gaussians: One scene.
         unstyled: The same scene without the style.
-        cameras: Of one scene.
+        cameras: Cameras of the judged views, of one scene.
         render: Gives views V 3 H W, sRGB in [0, 1].
     """
 

@@ -178,7 +178,7 @@ def expectations() -> dict[tuple[str, str], Expected]:
     for row in rows["expected"]:
         for place in ((figure, distortion) for figure in row.figures for distortion in row.distortions):
             if place in found or place[1] not in DISTORTIONS:
-                raise ValueError(f"{path}: {' of '.join(place)} stands there twice, or is no distortion")
+                raise ValueError(f"{path}: {' of '.join(place)} stands there twice, or names an unknown distortion")
             found[place] = row
     return found
 
