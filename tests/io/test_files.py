@@ -80,6 +80,18 @@ def test_a_terminated_command_deletes_what_it_began(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_error_about_a_program_that_exits_is_an_error(capsys):
+    def command() -> None:
+        try:
+            sys.exit(0)
+        except SystemExit as end:
+            raise UserError("it ended too early") from end
+
+    with pytest.raises(SystemExit) as ended:
+        run(command)
+    assert ended.value.code == 2 and capsys.readouterr().err == "anystyle: error: it ended too early\n"
+
+
 @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
 def test_a_signal_is_no_error_where_a_library_makes_one_of_it(capsys, name, status):
     """OmegaConf does, in the midst of composing."""

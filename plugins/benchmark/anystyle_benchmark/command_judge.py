@@ -41,8 +41,7 @@ def parser() -> argparse.ArgumentParser:
     add("--track", metavar="NAME", help="a track, or a track.toml (default: that of the results)")
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     add("--metrics", default="", metavar="A,B", help="only these of the track's metrics")
-    help_ = "how many judge at once (default: one for each core, as far as memory goes)"
-    add("--processes", type=int, metavar="N", help=help_)
+    add_processes(flags)
     check = "judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png"
     add("--check", type=Path, metavar="FOLDER", help=check)
     return flags
@@ -66,10 +65,8 @@ def main(args: Sequence[str]) -> None:
     specs = read_methods(results)
     inputs = inputs_of(results, arguments.track, arguments.root)
     lock = bind(inputs, results)
-    if arguments.processes is not None and arguments.processes < 1:
-        raise UserError(f"--processes {arguments.processes}; give 1 or more")
-    processes = arguments.processes or max(1, min(os.cpu_count() or 1, free() // PROCESS))
-    judge = Judge(inputs, results, tuple(filter(None, arguments.metrics.split(","))), processes=processes)
+    chosen = tuple(filter(None, arguments.metrics.split(",")))
+    judge = Judge(inputs, results, chosen, processes=processes_of(arguments))
     figures = judge(specs, lock, progress_lines())
     write_json(results / FIGURES, msgspec.to_builtins(figures))
     table = summary(figures, bundled(inputs.file.parent, figures)).markdown()
@@ -81,6 +78,19 @@ def main(args: Sequence[str]) -> None:
             where = ", ".join(map(str, cell.cell))
             print(f"{cell.status}: {where}: {cell.message}", file=sys.stderr)
     print(f"{table}\nin {results}: {FIGURES}, table.md, table.csv")
+
+
+def add_processes(flags: argparse.ArgumentParser) -> None:
+    """Give a command the flag of which :func:`processes_of` reads how many processes judge."""
+    about = "how many processes judge at once (default: one for each core, as far as memory goes)"
+    flags.add_argument("--processes", type=int, metavar="N", help=about)
+
+
+def processes_of(arguments: argparse.Namespace) -> int:
+    """How many processes judge at once."""
+    if arguments.processes is not None and arguments.processes < 1:
+        raise UserError(f"--processes {arguments.processes}; give 1 or more")
+    return arguments.processes or max(1, min(os.cpu_count() or 1, free() // PROCESS))
 
 
 def summary(figures: Figures, ladder: Ladder | None = None) -> Table:

@@ -14,6 +14,7 @@ from anystyle.io.atomic import atomic_directory, atomic_path, write_json
 from anystyle.io.documents import kept_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress
+from anystyle_benchmark.command_judge import add_processes, processes_of
 from anystyle_benchmark.distortions import DISTORTIONS, Shot
 from anystyle_benchmark.judge import Judge
 from anystyle_benchmark.ladder import LADDER, UNDISTORTED, Ladder, judged, rung
@@ -40,6 +41,7 @@ def parser() -> argparse.ArgumentParser:
     add("--method", default="branch", metavar="NAME", help="a preset that leaves a splat (default %(default)s)")
     for name, what in (("scenes", "all"), ("styles", "all images"), ("distortions", "all"), ("metrics", "all")):
         add(f"--{name}", default="", metavar="A,B", help=f"only these (default: {what})")
+    add_processes(flags)
     return flags
 
 
@@ -56,7 +58,7 @@ def main(args: Sequence[str]) -> None:
     names = _words(arguments.distortions) or list(DISTORTIONS)
     if strange := [name for name in names if name not in DISTORTIONS]:
         raise UserError(unknown("distortion", strange[0], DISTORTIONS))
-    judge = Judge(inputs, root, _words(arguments.metrics))
+    judge = Judge(inputs, root, _words(arguments.metrics), processes=processes_of(arguments))
     lock, specs = bind(inputs, root), rungs(spec, names, {style.guide for style in styles})
     for one in specs:
         kept = kept_json(root / one.name / "method.json", Spec)

@@ -137,8 +137,8 @@ class Shards:
             return fs.cat_file(f"{path}/{name}")
         except FileNotFoundError:
             raise UserError(f"there is no {self.root}/{name}; `anystyle data shard` writes it when it ends") from None
-        except Exception as error:  # clients of storage raise nearly anything
-            raise UserError(f"{self.root}/{name} cannot be read ({_reason(error)})") from None
+        except Exception as error:  # each client of storage has errors of its own
+            raise UserError(f"{self.root}/{name} cannot be read ({_reason(error)})") from error
 
     def _rows(self, content: bytes) -> NDArray[np.void]:
         """The rows, which must be those that the index was written with, and lie in the shards."""
@@ -160,8 +160,8 @@ class Shards:
         names = [shard_name(number) for number in range(len(self.index.shards))]
         try:
             sizes = fs.sizes([f"{path}/{name}" for name in names])
-        except Exception as error:
-            raise UserError(f"{self.root}: a shard is not there, or out of reach ({_reason(error)})") from None
+        except Exception as error:  # each client of storage has errors of its own
+            raise UserError(f"{self.root}: a shard is not there, or out of reach ({_reason(error)})") from error
         for name, size, expected in zip(names, sizes, self.index.shards, strict=True):
             if size is not None and size != expected:  # some servers do not tell
                 raise UserError(f"{self.root}/{name} has {size:,} bytes of {expected:,}; copy it again")

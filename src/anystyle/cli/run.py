@@ -15,6 +15,10 @@ FAILED, INTERRUPTED = 2, 130
 _FULL = ("ANYSTYLE_TRACEBACK", "HYDRA_FULL_ERROR")
 
 
+class Terminated(SystemExit):
+    """The exit after SIGTERM."""
+
+
 def run(command: Callable[[], Any]) -> None:
     """Run a command, and exit with its status.
 
@@ -57,12 +61,12 @@ def show(address: str) -> None:
 def _terminated(number: int, frame: object) -> NoReturn:
     """Exit through Python's own cleanup, so that temporary files are removed."""
     print("anystyle: terminated", file=sys.stderr)
-    sys.exit(128 + number)
+    raise Terminated(128 + number)
 
 
 def _signal_behind(error: BaseException | None) -> BaseException | None:
     """What a signal raised, where a library that was interrupted has made an error of its own of it."""
-    while error is not None and not isinstance(error, KeyboardInterrupt | SystemExit):
+    while error is not None and not isinstance(error, KeyboardInterrupt | Terminated):
         error = error.__cause__ or error.__context__
     return error
 
