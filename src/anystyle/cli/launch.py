@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.plugins import Plugins
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
-from anystyle.cli import sweep
 from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, unknown
@@ -58,7 +59,7 @@ def launch(
     The jobs of a multirun write into ``out`` where it is given.
     """
     register()
-    sweep.register()
+    _share_sweeps()
     if out is not None and {"-m", "--multirun"} & {*words}:
         words = [override("hydra.sweep.dir", out), *words]
     check_words(words)
@@ -103,6 +104,14 @@ def launch(
             sys.exit(FAILED if end.code == 1 else end.code)  # it has written its line
     if failures:
         raise failures[0]
+
+
+def _share_sweeps() -> None:
+    """Let ``hydra/sweeper=basic``, Hydra's default, be the sweeper whose jobs several starts share."""
+    target = "hydra_plugins.anystyle_sweeper.SharedSweeper"
+    options = {"_target_": target, "max_batch_size": None, "params": None}
+    Plugins.instance()  # which stores Hydra's own
+    ConfigStore.instance().store(group="hydra/sweeper", name="basic", node=options, provider="anystyle")
 
 
 def check_objective(config: DictConfig) -> None:

@@ -1,4 +1,7 @@
-"""Sweeps that several starts of one command share, on one machine or on several that see the same folder."""
+"""Sweeps that several starts of one command share, on one machine or on several that see the same folder.
+
+Hydra finds plugins in the namespace ``hydra_plugins`` alone.
+"""
 
 import sys
 import time
@@ -10,7 +13,7 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
-from hydra.plugins import sweeper
+from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
@@ -19,10 +22,10 @@ from anystyle.paths import shown
 from anystyle.registry.jobs import RECORD, values_of
 
 
-class Sweeper(sweeper.Sweeper):
+class SharedSweeper(Sweeper):
     """Every combination of values, as Hydra's own sweeper; jobs may return :class:`anystyle.io.atomic.Busy`.
 
-    They are launched again when the other process has finished them or has died. ``multirun.yaml`` is written whole or
+    Those are launched again when the other process has finished them or has died. ``multirun.yaml`` is written whole or
     not at all, and only if it changes.
 
     Args:
@@ -64,9 +67,3 @@ class Sweeper(sweeper.Sweeper):
                     time.sleep(1)
                 (results[place],) = self.launcher.launch([job], initial_job_idx=first + place)
         return results
-
-
-def register() -> None:
-    """Put the sweeper in the place of Hydra's, in this process; calling it again changes nothing."""
-    # By its name: Hydra takes classes of the package `hydra_plugins` alone, and configurations say `basic` as ever.
-    Plugins.instance().class_name_to_class["hydra._internal.core_plugins.basic_sweeper.BasicSweeper"] = Sweeper
