@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import msgspec
 import torch
-import torch.nn.functional as F
 from msgspec import Struct
 from PIL import Image, ImageOps
 from torch import Tensor
@@ -245,9 +244,6 @@ class Judge:
             )
             if style.text is not None:
                 comparison = replace(comparison, style=Style(text=(style.text,), names=(style.name,)))
-            if comparison.depth is not None:
-                depth = F.interpolate(comparison.depth, comparison.stylized.shape[-2:], mode="nearest-exact")
-                comparison = replace(comparison, depth=depth)
             yield comparison
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -50,7 +51,7 @@ class Reader:
             content=content,
             stylized=stylized,
             style=Style(image=self._reference(cell.reference)[None], names=(cell.style,)),
-            depth=self._depth(cell.depth) if any(cell.depth) else None,
+            depth=self._depth(cell.depth, (stylized.shape[-2], stylized.shape[-1])) if any(cell.depth) else None,
             cameras=_read_cameras(cell.cameras, cell, stylized) if cell.cameras else None,
             scenes=(cell.scene,),
             styles=(cell.style,),
@@ -73,15 +74,17 @@ def _read_stack(paths: tuple[Path, ...]) -> Float[Tensor, "1 V 3 H W"]:
     return torch.stack(images)[None]
 
 
-def _read_depths(paths: tuple[Path | None, ...]) -> Float[Tensor, "1 V H W"]:
-    """Depth maps; 0, as where there is no depth, for a path that is ``None``."""
+def _read_depths(paths: tuple[Path | None, ...], size: tuple[int, int]) -> Float[Tensor, "1 V H W"]:
+    """Depth maps at the images' size; 0, as where there is no depth, for a path that is ``None``."""
     what = "array of finite depth of shape [H, W]"
     maps = {path: torch.from_numpy(read_array(path, what=what)).float() for path in paths if path is not None}
     first = next(iter(maps.values()))
     for path, values in maps.items():
         if values.ndim != 2 or values.shape != first.shape:
             raise UserError(f"{path} has shape {list(values.shape)}; the depth of one scene needs one shape [H, W]")
-    return torch.stack([torch.zeros_like(first) if path is None else maps[path] for path in paths])[None]
+    depth = torch.stack([torch.zeros_like(first) if path is None else maps[path] for path in paths])[None]
+    # The nearest value: a mean of two surfaces lies on neither.
+    return F.interpolate(depth, size, mode="nearest-exact")
 
 
 def _read_cameras(file: Path, cell: StylizedImages, images: Float[Tensor, "1 V 3 H W"]) -> Cameras:
