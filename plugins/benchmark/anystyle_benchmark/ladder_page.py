@@ -7,7 +7,7 @@ from typing import NamedTuple
 from PIL import Image
 
 from anystyle.data.images import open_image
-from anystyle.evaluation.tables import STAND_IN, Table, number, titled
+from anystyle.evaluation.tables import STAND_IN, Table, titled
 from anystyle.io.documents import as_number
 from anystyle.io.sheet import contact_sheet
 from anystyle_benchmark.distortions import DISTORTIONS
@@ -129,6 +129,7 @@ def strip(root: Path, distortions: Sequence[str], scene: str, style: str, view: 
         ]
         for name in distortions
     ]
-    titles = [f"{title(name)} ({', '.join(map(number, DISTORTIONS[name].strengths))})" for name in distortions]
+    strengths = {name: ", ".join(f"{one:g}" for one in DISTORTIONS[name].strengths) for name in distortions}
+    titles = [f"{title(name)} ({strengths[name]})" for name in distortions]
     columns = ["as it is", *(f"rung {index}" for index in range(1, STEPS + 1))]
     return contact_sheet(rows, row_titles=titles, column_titles=columns, cell=CELL, gap=5)
