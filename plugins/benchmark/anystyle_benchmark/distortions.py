@@ -190,7 +190,7 @@ DISTORTIONS: Mapping[str, Distortion] = MappingProxyType(
         "splat_jitter": Distortion(
             "splat: jitter", f"SD of centres, {SIDE}", (0.002, 0.005, 0.012, 0.03), _splat(moved)
         ),
-        "floaters": Distortion("splat: floaters", "per camera", (2, 8, 24, 72), _splat(with_floaters)),
+        "floaters": Distortion("splat: floaters", "per camera", (2.0, 8.0, 24.0, 72.0), _splat(with_floaters)),
         "fade": Distortion("splat: less style", "of the unstyled scene", (0.25, 0.5, 0.75, 1.0), faded),
         "cameras": Distortion("cameras: wrong", SIDE, (0.002, 0.006, 0.018, 0.05), _cameras),
         "view_blur": Distortion("views: blur", f"SD, {SIDE}", (0.002, 0.005, 0.01, 0.02), _renders(blurred)),
