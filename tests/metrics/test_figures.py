@@ -14,11 +14,13 @@ from torchmetrics.image.kid import poly_mmd
 from anystyle.contracts import Metric
 from anystyle.metrics.art_fid import ArtFID, frechet_distance, frechet_infinity
 from anystyle.metrics.clip import ClipDirection, ClipStyle
+from anystyle.metrics.color_match import ColorMatch
 from anystyle.metrics.kid import KID, discrepancy
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.oracle import hashed, smooth_image
+from anystyle.testing.toy.metric import ToyMetric
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Cameras, Comparison, Style
 from anystyle.vision import feature_cache
@@ -164,12 +166,20 @@ def test_few_images_are_warned_of():
         metric.compute()
 
 
-@pytest.mark.parametrize("make", [PSNR, lambda: ArtFID(weights="stand_in")])
+@pytest.mark.parametrize("make", [PSNR, ToyMetric, lambda: ArtFID(weights="stand_in")])
 def test_images_that_are_no_numbers_are_refused(make):
-    broken = pictures()
-    broken.stylized[0, 0, 0, 0, 0] = float("nan")
+    images = pictures()
+    images.stylized[0, 0, 0, 0, 0] = float("nan")
     with pytest.raises(ValueError, match="the stylized images hold 1 values that are NaN or infinite"):
-        make().update(broken)
+        make().update(images)
+
+
+def test_a_style_image_is_looked_at_where_it_is_one():
+    images = pictures()
+    images.style.image[1, 0, 0, 0] = float("inf")
+    with pytest.raises(ValueError, match="the style images hold 1 values"):
+        ColorMatch().update(images)
+    ColorMatch().update(replace(images, style=replace(images.style, has_image=torch.tensor([True, False]))))
 
 
 def counted(seen, name, look):

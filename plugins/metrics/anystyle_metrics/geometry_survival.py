@@ -16,7 +16,6 @@ from anystyle.contracts import Metric, accepts_tensors
 from anystyle.ranges import Range
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Comparison
-from anystyle.vision.preprocess import checked
 
 FIGURES = ("pose_auc", "registered", "camera_error")
 LIMIT = 20.0  # degrees at which ``pose_auc`` ends
@@ -64,7 +63,7 @@ class GeometrySurvival(Metric):
 
     @accepts_tensors
     def update(self, comparison: Comparison) -> None:
-        if checked(comparison).cameras is None or not comparison.neighbours():
+        if comparison.cameras is None or not comparison.neighbours():
             return
         for row in range(len(comparison.stylized)):
             one = comparison.row(row)

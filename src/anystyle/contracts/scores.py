@@ -37,7 +37,8 @@ class Loss(Pluggable, nn.Module, ABC):
 def accepts_tensors(update: Callable[[Any, Comparison], None], takes: Sequence[str] = ()) -> Callable[..., None]:
     """An ``update`` that takes a comparison, or the arguments of :meth:`Comparison.from_images` that ``takes`` names.
 
-    The framework makes one of every ``update``; written above it, type checkers know. No gradient is recorded.
+    The framework makes one of every ``update``; written above it, type checkers know. Either is checked before, and no
+    gradient is recorded.
     """
     known = inspect.signature(Comparison.from_images).parameters
     shown = [inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)]
@@ -54,6 +55,8 @@ def accepts_tensors(update: Callable[[Any, Comparison], None], takes: Sequence[s
             except TypeError as error:
                 raise TypeError(f"{type(self).__name__}.update({', '.join(signature.parameters)}): {error}") from None
             args, kwargs = (Comparison.from_images(**{name: given[name] for name in given if name != "self"}),), {}
+        else:
+            args[0].checked()
         with torch.no_grad():
             update(self, *args, **kwargs)
 
@@ -103,7 +106,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
         super().__init_subclass__(**options)
         cls.higher_is_better = "lower" not in getattr(cls, "better", {}).values()
         if not {"takes", "update"}.isdisjoint(vars(cls)):
-            cls.update = accepts_tensors(cls.update, cls.takes)
+            cls.update = accepts_tensors(inspect.unwrap(cls.update), cls.takes)
 
     def __init__(self) -> None:
         super().__init__()

@@ -18,7 +18,6 @@ from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.pairing import Pairing, StylizedImages
 from anystyle.paths import natural
 from anystyle.types import Comparison, OnProgress, Progress
-from anystyle.vision.preprocess import checked
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +99,7 @@ def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]
     styles: dict[str, dict[str, dict[str, float]]] = {name: {} for name in metrics}
     warned: dict[str, list[str]] = {name: [] for name in metrics}
     states: dict[str, dict[str, Any]] = {}
-    for index, comparison in enumerate(map(checked, comparisons)):
+    for index, comparison in enumerate(comparisons):
         style = comparison.styles[0] if comparison.styles else f"{index:02d}"
         for name, metric in metrics.items():
             metric.compute_with_cache = False  # a style's figure must not be returned for the scene

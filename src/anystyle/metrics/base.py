@@ -18,7 +18,6 @@ from anystyle.types import Comparison, Source
 from anystyle.types.network import checksums, stand_ins
 from anystyle.vision.feature_cache import batch_size
 from anystyle.vision.lpips import Lpips
-from anystyle.vision.preprocess import checked, finite
 
 
 class Pairs(NamedTuple):
@@ -42,8 +41,8 @@ def pairs(comparison: Comparison) -> Iterator[Pairs]:
 
 
 def with_style_images(comparison: Comparison) -> tuple[Comparison, Float[Tensor, "R 3 h w"]]:
-    """The rows of a comparison that have a style image, and these images; checked."""
-    style = checked(comparison).style
+    """The rows of a comparison that have a style image, and these images."""
+    style = comparison.style
     given = None if style is None else style.has_image
     if style is None or style.image is None or (given is not None and not bool(given.any())):
         raise UserError("the comparison has no style image; this metric compares with one: give style images")
@@ -55,7 +54,7 @@ def with_style_images(comparison: Comparison) -> tuple[Comparison, Float[Tensor,
         )
         comparison = replace(comparison.map(lambda tensor: tensor[kept]), scenes=scenes, styles=styles)
         image = image[kept]
-    return comparison, finite(image, "the style images")
+    return comparison, image
 
 
 def mean_per_row(comparison: Comparison, value: Callable[[Pairs], Float[Tensor, " M"]]) -> Float[Tensor, " R"]:
@@ -87,7 +86,7 @@ class RowMean(Metric, ABC):
     @final
     @accepts_tensors
     def update(self, comparison: Comparison) -> None:
-        values = self.of_rows(checked(comparison))
+        values = self.of_rows(comparison)
         values = values[~values.isnan()].to(self.total)
         self.total += values.sum()
         self.rows += values.numel()

@@ -14,7 +14,6 @@ from anystyle.metrics.base import NetworkMetric
 from anystyle.types import Comparison, Frames
 from anystyle.vision import lpips, preprocess
 from anystyle.vision.feature_cache import batch_size, digests
-from anystyle.vision.preprocess import checked
 from anystyle.vision.weights import Weights
 
 RANGES = {"short": 1, "long": 7}
@@ -102,7 +101,6 @@ class WarpConsistency(NetworkMetric):
 
     @accepts_tensors
     def update(self, comparison: Comparison) -> None:
-        checked(comparison)
         for index, gap in enumerate(RANGES.values()):
             for row, preds in enumerate(comparison.stylized):
                 means = self._row_means(preds, comparison.neighbours(gap), self._flows(comparison, row, gap))

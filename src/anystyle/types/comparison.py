@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.types.network import StyleEmbedding
 from anystyle.types.scene import Gaussians, Renders, Scene
 from anystyle.types.shapes import ShapeError, Value, check_fields, check_tensor, kind_and_shape
@@ -86,6 +88,36 @@ class Comparison(Value):
         given = cls(content, stylized, style, cameras, depth, tuple(scenes), (), seconds, tuple(numbers))
         check_fields(given)
         return given
+
+    def checked(self) -> "Comparison":
+        """This comparison, as :meth:`Metric.update` gets it.
+
+        Raises:
+            UserError: Photographs and stylized images are not of one size, or an image has values that are not finite.
+        """
+        where = " in style ".join([*self.scenes[:1], *self.styles[:1]]) + ": " if self.scenes else ""
+        if self.content.shape != self.stylized.shape:
+            photographs, others = (
+                f"{rows} x {views} of {width}x{height} pixels"
+                for rows, views, _, height, width in (self.content.shape, self.stylized.shape)
+            )
+            raise UserError(
+                f"{where}photographs are {photographs} and stylized images {others}; give as many of one size"
+            )
+        if len(self.numbers) not in (0, self.stylized.shape[1]):
+            raise UserError(f"{where}{self.stylized.shape[1]} views have {len(self.numbers)} numbers; give one each")
+        content = self.content[:1] if self.content.stride(0) == 0 else self.content
+        style = None if self.style is None else self.style.image
+        if style is not None and self.style is not None and self.style.has_image is not None:
+            style = style[self.style.has_image]
+        parts = {"the photographs": content, "the stylized images": self.stylized, "the style images": style}
+        for what, images in parts.items():
+            # Adding is a tenth of the work of testing each value.
+            if images is not None and not images.sum().isfinite() and (bad := int((~torch.isfinite(images)).sum())):
+                raise UserError(
+                    f"{where}{what} hold {bad} values that are NaN or infinite; a metric needs numbers in [0, 1]"
+                )
+        return self
 
     def neighbours(self, gap: int = 1) -> list[tuple[int, int]]:
         """The places of every view and of the one that is ``gap`` later in the sequence, where both are there.

@@ -10,9 +10,6 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.errors import UserError
-from anystyle.types import Comparison
-
 
 def eight_bit(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
     """Images in [0, 1] as a file of 8 bits holds them."""
@@ -98,28 +95,3 @@ def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M
     else:
         channel = kornia.color.rgb_to_grayscale(images)
     return channel.expand(-1, 3, -1, -1)
-
-
-def finite(images: Float[Tensor, "*batch"], what: str) -> Float[Tensor, "*batch"]:
-    """The same images, or a UserError if a value is NaN or infinite."""
-    # Adding is a tenth of the work of testing each value.
-    if not images.sum().isfinite() and (num_bad := int((~torch.isfinite(images)).sum())):
-        raise UserError(f"{what} hold {num_bad} values that are NaN or infinite; a metric needs numbers in [0, 1]")
-    return images
-
-
-def checked(comparison: Comparison) -> Comparison:
-    """The same comparison, or a UserError if photographs and stylized images are not finite and of one size."""
-    content, stylized = comparison.content, comparison.stylized
-    where = " in style ".join([*comparison.scenes[:1], *comparison.styles[:1]]) + ": " if comparison.scenes else ""
-    if content.shape != stylized.shape:
-        photographs, others = (
-            f"{rows} x {views} of {width}x{height} pixels"
-            for rows, views, _, height, width in (content.shape, stylized.shape)
-        )
-        raise UserError(f"{where}photographs are {photographs} and stylized images {others}; give as many of one size")
-    if len(comparison.numbers) not in (0, stylized.shape[1]):
-        raise UserError(f"{where}{stylized.shape[1]} views have {len(comparison.numbers)} numbers; give one each")
-    finite(content[:1] if content.stride(0) == 0 else content, f"{where}the photographs")
-    finite(stylized, f"{where}the stylized images")
-    return comparison
