@@ -22,10 +22,10 @@ def draw_pairs(
     found = np.argwhere(available)
     if len(found) < count:
         what = "pairs of scene and style have results of every method"
-        what = what if available.ndim == 2 else "pairs of methods are there over all scenes and styles"
+        what = what if available.ndim == 2 else "pairs of methods are there in all scenes and styles"
         raise UserError(
-            f"{count} sets are asked for and {len(found)} {what}; plan at most {len(found) - len(found) % 2} sets, or "
-            "add results"
+            f"{count} sets are asked for and {len(found)} {what}; plan at most {len(found) - len(found) % 2} sets "
+            "(pool=, sets=), or add results"
         )
     return [tuple(row) for row in generator.permutation(found[_evenly(found, count, generator)]).tolist()]
 
