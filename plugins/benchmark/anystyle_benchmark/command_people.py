@@ -50,7 +50,7 @@ def table(people: People) -> Table:
     stand_ins = {name: info.stand_in for name, info in people.metrics.items() if info.stand_in}
     rows: list[tuple[str, ...]] = []
     for others in people.others:
-        rows.append((sizes(others),))
+        rows.append((others.question,))
         for one in (others, *(one for one in people.figures if one.question == others.question)):
             name = titled(one.figure, better) + "†" * (one.figure in stand_ins)
             pvalue = "–" if one.holm is None else p_text(as_number(one.holm)).removeprefix("= ")
@@ -61,11 +61,13 @@ def table(people: People) -> Table:
     notes = (
         "Somers' D: of the pairs in which a participant prefers a method, the share in which the score prefers the "
         "same one, less that in which it prefers the other (Kendall's tau where the score has no ties). Agrees: "
-        f"(1 + D) / 2. {OTHERS.capitalize()}: what most of them prefer in the same pair, about the most that a score "
+        f"(1 + D) / 2. {OTHERS.capitalize()}: what most of them prefer in the same pair, a lower bound of what a score "
         "can reach.",
         f"Intervals and p are Student's over crossed factors, for {'; or '.join(claims)}, and for these methods "
         f"({', '.join(people.methods)}): with one of them left out D lies within the bounds beside it. p is adjusted "
-        f"over all rows by Holm's method. Track {people.track.name} {people.track.version}, study {people.study}.",
+        "over the scores of a question by Holm's method.",
+        f"Track {people.track.name} {people.track.version}, study {people.study}.",
+        *map(sizes, people.others),
         *(f"† {name}: {network} ({STAND_IN})." for name, network in stand_ins.items()),
         *people.notes,
     )
@@ -76,7 +78,7 @@ def table(people: People) -> Table:
 def sizes(one: RankCorrelation) -> str:
     """A question with how much was asked of it."""
     levels = f"{one.participants} participants, {one.scenes} scenes, {one.styles} styles"
-    return f"{one.question}: {one.pairs} pairs with a preference, {one.undecided} without; {levels}"
+    return f"{one.question}: {one.pairs} answers with a preference, {one.undecided} without; {levels}."
 
 
 def _decimals(value: Figure) -> str:

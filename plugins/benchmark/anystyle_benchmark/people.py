@@ -59,7 +59,8 @@ class RankCorrelation(Struct, frozen=True, kw_only=True):
     Args:
         d: From -1 to 1.
         low, high: Its 95 % interval; ``None``, as the p-value, where nothing varies.
-        holm: The two-sided ``pvalue``, adjusted over all figures and questions.
+        holm: The two-sided ``pvalue``, adjusted over all figures of the question; ``None`` also where too few people
+            are left for a conclusion.
         agrees: The share of pairs in which the figure prefers what the participant does, ties half.
         without: The least and the greatest D if one of the methods is left out.
         pairs: How many answers have a preference; ``undecided`` have none, ``ties`` of the pairs tie by the figure.
@@ -143,28 +144,29 @@ def correlated(figures: Figures, folder: Path) -> People:
         cell: _lost(cell, figures, hashes.get(named(cell), ""), judged.get(cell))
         for cell in {cell for choices in answered.values() for choice in choices for cell in choice.cells}
     }
-    lost = Counter(
-        reason
-        for choices in answered.values()
-        for choice in choices
-        if (reason := next(filter(None, map(reasons.__getitem__, choice.cells)), ""))
-    )
-    answered = {
-        name: kept
-        for name, choices in answered.items()
-        if (kept := [choice for choice in choices if not any(reasons[cell] for cell in choice.cells)])
-    }
+
+    def reason(choice: Choice) -> str:
+        return next(filter(None, map(reasons.__getitem__, choice.cells)), "")
+
+    lost = Counter(filter(None, (reason(choice) for choices in answered.values() for choice in choices)))
+    answered = {name: [choice for choice in choices if not reason(choice)] for name, choices in answered.items()}
+    answered = {name: choices for name, choices in answered.items() if choices}
     if not answered:
         raise UserError(f"no answer of {folder} is about images of these results: {next(iter(lost))}")
     notes += [f"{count} answers are left out: {reason}." for reason, count in lost.items()]
+    of_scenes = {(one.method, one.seed, one.scene, one.guide): one.figures for one in figures.scenes}
+    scores = {row.cell: of_scenes.get((*row.cell[:3], row.guide), {}) | row.figures for row in figures.cells}
     found: list[RankCorrelation] = []
     unknown: Counter[str] = Counter()
     for question, choices in answered.items():
+        rows: list[RankCorrelation] = []
         for name, info in figures.metrics.items():
-            order = ordered(figures, name, choices)
+            order = ordered([[as_number(scores[cell].get(name)) for cell in choice.cells] for choice in choices])
             unknown[name] += int(np.isnan(order).sum())
             if np.nansum(np.abs(order)):
-                found.append(correlation(question, name, choices, order if info.better == "higher" else -order))
+                rows.append(correlation(question, name, choices, order if info.better == "higher" else -order))
+        adjusted = holm([math.nan if checks.doubt else as_number(one.pvalue) for one in rows])
+        found += [replace(one, holm=as_figure(pvalue)) for one, pvalue in zip(rows, adjusted, strict=True)]
     shown = {name: info for name, info in figures.metrics.items() if any(one.figure == name for one in found)}
     total = sum(map(len, answered.values()))
     notes += [f"{name} is unknown in {unknown[name]} of {total} answers." for name in shown if unknown[name]]
@@ -173,11 +175,7 @@ def correlated(figures: Figures, folder: Path) -> People:
     if wholes := sorted({name for one in figures.scenes for name in one.figures} & shown.keys()):
         notes.append(f"One figure for all styles of a scene orders its methods alike in each: {', '.join(wholes)}.")
     others = [correlation(name, OTHERS, choices, majority(choices)) for name, choices in answered.items()]
-    if checks.doubt:
-        notes.append(f"There is no conclusion: {checks.doubt}.")
-        found = [replace(one, pvalue=None) for one in found]
-    adjusted = map(as_figure, holm([as_number(one.pvalue) for one in found]))
-    found = [replace(one, holm=pvalue) for one, pvalue in zip(found, adjusted, strict=True)]
+    notes += [f"There is no conclusion: {checks.doubt}."] * bool(checks.doubt)
     methods = sorted({cell.method for choices in answered.values() for choice in choices for cell in choice.cells})
     return People(figures.track, study, methods, shown, found, others, notes)
 
@@ -192,14 +190,9 @@ def _lost(cell: Cell, figures: Figures, seen: str, judged: CellFigures | None) -
     return f"people saw other images of {cell.method} than those judged" if differ else ""
 
 
-def ordered(figures: Figures, figure: str, choices: Sequence[Choice]) -> Float[np.ndarray, " N"]:
-    """1 where a figure is greater in the first cell, -1 in the second, 0 for a tie, ``nan`` if one is unknown."""
-    wholes = {(one.method, one.seed, one.scene, one.guide): one.figures for one in figures.scenes}
-    values = {
-        row.cell: as_number((wholes.get((*row.cell[:3], row.guide), {}) | row.figures).get(figure))
-        for row in figures.cells
-    }
-    first, second = (np.array([values[choice.cells[side]] for choice in choices]) for side in (0, 1))
+def ordered(pairs: Sequence[Sequence[float]]) -> Float[np.ndarray, " N"]:
+    """1 where the first of two numbers is greater, -1 the second, 0 for a tie, ``nan`` if one is unknown."""
+    first, second = np.array(pairs).T
     return compared(second, first)
 
 
