@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import shutil
 from itertools import combinations
 from xml.etree import ElementTree
@@ -153,10 +154,10 @@ def test_a_study_and_results_give_a_table_a_picture_and_files(asked, capsys):
     assert by_name["style", "kid"]["styles"] == 3  # of images alone
     assert "same" not in {name for _, name in by_name}
     assert "error ↓†" in shown
-    assert "Left out, without figures or the same for all methods: same" in shown
+    assert re.search(r"Left out, without figures or the same for all methods: .*\bsame\b", shown)
     assert "orders its methods alike in each: kid" in shown
     assert (root / "study" / "people.md").read_text().strip() in shown
-    rows = list(csv.DictReader((root / "study" / "people.csv").open()))
+    rows = list(csv.DictReader((root / "study" / "people.csv").read_text().splitlines()))
     assert {row["score"] for row in rows} >= {"other participants", "good ↑", "error ↓†"}
     drawn = ElementTree.parse(root / "study" / "people.svg").getroot()
     dots = [one for one in drawn.iter() if one.tag.endswith("circle")]
