@@ -10,7 +10,7 @@ from anystyle.cli.arguments import new_parser, parse
 from anystyle.evaluation.tables import STAND_IN, Table, titled
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import Figure, as_number
-from anystyle_benchmark.people import OTHERS, People, RankCorrelation, correlated
+from anystyle_benchmark.people import OTHERS, People, correlated
 from anystyle_benchmark.results import read_figures
 from anystyle_benchmark.templates import templates
 from anystyle_study.wording import generalization, p_text
@@ -67,18 +67,11 @@ def table(people: People) -> Table:
         f"({', '.join(people.methods)}): with one of them left out D lies within the bounds beside it. p is adjusted "
         "over the scores of a question by Holm's method.",
         f"Track {people.track.name} {people.track.version}, study {people.study}.",
-        *map(sizes, people.others),
         *(f"† {name}: {network} ({STAND_IN})." for name, network in stand_ins.items()),
         *people.notes,
     )
     columns = ("score", "Somers' D", "95 % interval", "p (Holm)", "agrees", "D without a method", "pairs", "ties")
     return Table(columns, tuple(rows), notes=notes)
-
-
-def sizes(one: RankCorrelation) -> str:
-    """A question with how much was asked of it."""
-    levels = f"{one.participants} participants, {one.scenes} scenes, {one.styles} styles"
-    return f"{one.question}: {one.pairs} answers with a preference, {one.undecided} without; {levels}."
 
 
 def _decimals(value: Figure) -> str:
@@ -92,5 +85,5 @@ def _bounds(low: Figure, high: Figure) -> str:
 def picture(people: People) -> str:
     """Somers' D of every figure with its interval as an SVG picture, a panel for each question."""
     found = {(one.question, one.figure): one for one in people.figures}
-    values = {"people": people, "found": found, "sizes": sizes, "decimals": _decimals, "bounds": _bounds}
+    values = {"people": people, "found": found, "decimals": _decimals, "bounds": _bounds}
     return templates().get_template("people.svg").render(values)

@@ -151,6 +151,12 @@ def correlated(figures: Figures, folder: Path) -> People:
     lost = Counter(filter(None, (reason(choice) for choices in answered.values() for choice in choices)))
     answered = {name: [choice for choice in choices if not reason(choice)] for name, choices in answered.items()}
     answered = {name: choices for name, choices in answered.items() if choices}
+    for name, choices in answered.items():
+        people, places = {choice.participant for choice in choices}, {choice.cells[0][2:] for choice in choices}
+        prefer = sum(choice.vote != 0 for choice in choices)
+        scenes, styles = map(len, map(set, zip(*places, strict=True)))
+        levels = f"{len(people)} participants, {scenes} scenes, {styles} styles"
+        notes.append(f"{name}: {len(choices)} answers, {prefer} with a preference; {levels}.")
     if not answered:
         raise UserError(f"no answer of {folder} is about images of these results: {next(iter(lost))}")
     notes += [f"{count} answers are left out: {reason}." for reason, count in lost.items()]

@@ -19,8 +19,10 @@ from anystyle_benchmark import command_compare
 from anystyle_benchmark.command_people import main
 from anystyle_benchmark.people import Choice, correlation, majority
 from anystyle_benchmark.results import Cell, Figures, MetricInfo
+from anystyle_benchmark.spec import read_spec
 from anystyle_study.protocol import read_study
 from anystyle_study.statistics import holm
+from tests.benchmarks.people import bundled
 from tests.support.people_cases import crossing, simulated, write_answers
 
 
@@ -47,6 +49,25 @@ def test_in_one_cell_it_is_somers_d_and_without_ties_kendalls_tau(seed):
             assert found.d == pytest.approx(stats.kendalltau(opinions, figure).statistic, abs=1e-7)
         left = [stats.somersd(*(np.delete(of, k) for of in (opinions, figure))).statistic for k in range(7)]
         assert found.without == pytest.approx((min(left), max(left)), abs=1e-7)
+
+
+def test_two_methods_have_none_to_leave_out_and_one_answer_no_interval():
+    found = correlation("style", "x", choices_between([1, 0]), np.array([1.0]))
+    assert (found.d, found.low, found.pvalue, found.without) == (1.0, None, None, (None, None))
+
+
+def test_the_bundled_design_is_balanced_and_its_methods_are_there():
+    design = bundled(24, 4)
+    methods = [read_spec(name)[0] for name in command_compare.STUDIED]
+    assert len(methods) == 6 and not any(method.baseline for method in methods)
+    assert design.shape == (24, 40, 4)
+    _, per_scene = np.unique(design[..., 0], return_counts=True)
+    assert set(per_scene.tolist()) == {240}
+    _, per_set = np.unique(design.reshape(-1, 4), axis=0, return_counts=True)
+    assert per_set.tolist() == [4] * 240
+    pairs, per_pair = np.unique(design[..., 2:].reshape(-1, 2), axis=0, return_counts=True)
+    assert len(pairs) == 15 and set(per_pair.tolist()) == {64}
+    assert all(len(np.unique(sets[:, :2], axis=0)) == 40 for sets in design)
 
 
 def test_a_noisy_truth_has_greiners_correlation():
