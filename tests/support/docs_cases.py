@@ -133,7 +133,7 @@ NOT_RUN = {
     r"anystyle train experiment=paper_(?!.*model=tiny)": "needs graphics cards, the data sets and published weights",
     r"anystyle (data check ROOT|evaluate protocol=table|report .?T2)": "evaluation/test_paper_layout.py does, small",
     r"anystyle train experiment=tiny_all$": "hours; training/test_pipeline.py runs a small one",
-    r"anystyle (benchmark (judge|compare|verify) |study form people/)": "needs an edition; its tests have a small one",
+    r"anystyle (benchmark (judge|compare|verify|people) |study form people/)": "needs an edition; tests have one",
     r"anystyle benchmark ladder ": "hours; benchmark/tests/test_ladder.py counts a small one",
     r"anystyle evaluate protocol=captures ": "minutes; evaluation/test_captures.py runs a small one",
 }

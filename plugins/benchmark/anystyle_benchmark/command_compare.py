@@ -18,7 +18,8 @@ from anystyle.evaluation.tables import Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import Figure, as_figure, as_number, read_json
 from anystyle_benchmark.judge import GUIDES, PHOTOGRAPHS, inputs_of, photographs, read_methods
-from anystyle_benchmark.results import Figures, read_figures
+from anystyle_benchmark.people import IMAGES, answers_in, named
+from anystyle_benchmark.results import Figures, cells_of, images_hash, is_done, read_figures
 from anystyle_benchmark.statistics import CONFIDENCE, arranged, difference
 from anystyle_benchmark.track import Inputs
 from anystyle_study.commands import analyze_command, analyze_parser, read_plan
@@ -26,6 +27,9 @@ from anystyle_study.design import Sources, design
 from anystyle_study.protocol import Study
 from anystyle_study.statistics import holm
 from anystyle_study.wording import p_text
+
+STUDIED = ("branch", "brush", "palette_transfer", "sos", "tiny_paper_taught", "two_d")
+"""What a study shows if no methods are named: one of each family, and no baseline, which any metric tells apart."""
 
 
 class Compared(Struct, frozen=True):
@@ -69,14 +73,15 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser(
         "benchmark compare",
         "Test by which figures methods differ, in the cells that both have.",
-        epilog="With --with-people, arguments such as study=pilot and participants=12 change the study's plan.",
+        epilog="With --with-people, arguments such as study=pilot and participants=12 change the study's plan; of more "
+        "than two methods every pair is shown (study=benchmark).",
     )
     add = flags.add_argument
     add("results", type=Path, help="a folder that `anystyle benchmark judge` judged")
-    methods = "two or more, such as brush nnfm; with --with-people also OPTION=VALUE of the study"
-    add("methods", nargs="+", metavar="METHOD", help=methods)
+    methods = f"two or more (with --with-people, by default {' '.join(STUDIED)}); and OPTION=VALUE of a study"
+    add("methods", nargs="*", metavar="METHOD", help=methods)
     add("--out", type=Path, metavar="DIR", help="write compare.md and compare.json there")
-    add("--with-people", type=Path, metavar="STUDY", help="make a user study of two methods there instead")
+    add("--with-people", type=Path, metavar="STUDY", help="make a user study of the methods there instead")
     add("--answers", type=Path, metavar="STUDY", help="a study with its answers, or the results of `study analyze`")
     add("--track", metavar="NAME", help="for --with-people: a track, or a track.toml (default: that of the results)")
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
@@ -89,13 +94,14 @@ def main(args: Sequence[str]) -> None:
     methods = [word for word in arguments.methods if "=" not in word]
     plan = [word for word in arguments.methods if "=" in word]
     if (out := arguments.with_people) is not None:
-        if len(methods) != 2:
-            raise UserError("a study compares two methods; name two")
+        methods = methods or list(STUDIED)
+        if len(methods) < 2:
+            raise UserError("a study compares methods; name two or more")
         inputs = inputs_of(arguments.results, arguments.track, arguments.root)
         study = with_people(inputs, arguments.results, methods, plan, out)
-        people = f"{len(study.items)} sets for {len(study.participants)} participants, in {out}"
-        print(f"{' against '.join(methods)}: {people}")
-        print(f"next: anystyle study form {out}; what people save goes into {out}/answers, for --answers {out}")
+        print(f"{study.compared}: {len(study.items)} sets for {len(study.participants)} participants, in {out}")
+        then = f"--answers {out}" if len(methods) == 2 else f"anystyle benchmark people {arguments.results} {out}"
+        print(f"next: anystyle study form {out}; what people save goes into {out}/answers, for {then}")
         return
     if plan:
         raise UserError(f"{plan[0]} is an option of a study; it needs --with-people STUDY")
@@ -202,7 +208,13 @@ def _told(one: Compared | Answered) -> tuple[str, str, str]:
 
 
 def with_people(inputs: Inputs, root: Path, methods: Sequence[str], plan: Sequence[str], out: Path) -> Study:
-    """Make a study of two methods' images, of the first seed; ``plan``: arguments of ``anystyle study design``."""
+    """Make a study of methods' images, of the first seed; ``plan``: arguments of ``anystyle study design``.
+
+    Of more than two methods every pair is shown, by default in the study ``benchmark``. ``images.json`` has the hashes
+    of all images of the methods.
+    """
+    if len(methods) > 2:
+        plan = ["study=benchmark", "pairs=all", *plan]
     _known(methods, [spec.name for spec in read_methods(root)])
     for scene in inputs.track.scenes:
         photographs(inputs, scene, root)
@@ -215,7 +227,11 @@ def with_people(inputs: Inputs, root: Path, methods: Sequence[str], plan: Sequen
                 source = inputs.path(style.image).resolve()
                 (styles / f"{style.name}{source.suffix}").symlink_to(source)
         folders = {method: root / method / "0" for method in methods}
-        return design(Sources(folders, methods[0], styles, root / PHOTOGRAPHS), read_plan(plan), out)
+        study = design(Sources(folders, methods[0], styles, root / PHOTOGRAPHS), read_plan(plan), out)
+    cells = (cell for method in methods for cell in cells_of(root, method) if cell.seed == 0 and is_done(cell, root))
+    hashes = {named(cell): images_hash(cell, root, inputs.scene(cell.scene).views) for cell in cells}
+    write_json(out / IMAGES, hashes)
+    return study
 
 
 class _Primary(Struct):
@@ -247,17 +263,17 @@ def answers(source: Path, methods: Sequence[str]) -> list[Answered]:
         methods: The methods that are compared.
     """
     if (source / "study.json").is_file():
-        given = next((path for path in (source / "answers.sqlite", source / "answers") if path.exists()), None)
-        if given is None:
-            raise UserError(f"the study {source} has no answers beside it (answers.sqlite, or a folder answers)")
-        args = [str(given), "--study", str(source), "--out", str(source / "analysis"), "--no-report"]
+        args = [str(answers_in(source)), "--study", str(source), "--out", str(source / "analysis"), "--no-report"]
         analyze_command(parse(analyze_parser(), args))
         source = source / "analysis"
     file = source / "analysis.json" if source.is_dir() else source
     analysis: _Analysis = read_json(file, _Analysis, what="analysis of a study")
     ours, theirs = analysis.settings.get("ours", "?"), analysis.settings.get("baselines", ["?"])
     if len(theirs) != 1 or not {ours, *theirs} <= set(methods):
-        raise UserError(f"{source} is of a study of {ours} against {', '.join(theirs)}, not of these two")
+        raise UserError(
+            f"{source} is of a study of {ours} against {', '.join(theirs)}, not of two of these methods; anystyle "
+            "benchmark people reads studies of more"
+        )
     first, second = sorted((ours, *theirs), key=list(methods).index)
     sign = -1 if first == ours else 1  # the study's estimates are below 0 where ours is preferred
     found = []

@@ -4,7 +4,6 @@ Figures are cached in ``RESULTS/.judged`` by the hashes of the images: only what
 a single style belong to its cell; those of all styles of a scene, such as a distance of distributions, to the scene.
 """
 
-import hashlib
 import logging
 import math
 import multiprocessing
@@ -47,6 +46,8 @@ from anystyle_benchmark.results import (
     Record,
     SceneFigures,
     TableRow,
+    digest,
+    images_hash,
     read_lock,
     wrong_images,
 )
@@ -176,8 +177,7 @@ class Judge:
             if status == "done" and (wrong := wrong_images(cell.images(self.root), scene.views, size)):
                 status, message = "failed", wrong[0]
             elif status == "done":
-                files = [cell.images(self.root) / f"{view}.png" for view in scene.views]
-                images[style.name] = _digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
+                images[style.name] = images_hash(cell, self.root, scene.views)
             taken = record.seconds, record.scene_seconds, record.memory
             origins[record.origin.key] = record.origin
             made = {"images": images.get(style.name, ""), "origin": record.origin.key}
@@ -194,7 +194,7 @@ class Judge:
         kept: dict[str, Judged] = kept_json(file, dict[str, Judged]) or {}
         names = [name for name in self.inputs.track.metrics.get(unit.guide, ()) if name in self.metrics]
         keys = {
-            name: _digest([PROTOCOL, name, sorted(self.metrics[name].weights.items()), sorted(images.items())])
+            name: digest([PROTOCOL, name, sorted(self.metrics[name].weights.items()), sorted(images.items())])
             for name in names
         }
         missing = [name for name in names if name not in kept or kept[name].key != keys[name]]
@@ -357,7 +357,3 @@ def _together(rows: Sequence[CellFigures], scene: Mapping[str, Figure]) -> list[
 
 def _rounded(figures: Mapping[str, float]) -> dict[str, Figure]:
     return {name: as_figure(rounded(value)) for name, value in figures.items()}
-
-
-def _digest(value: object) -> str:
-    return hashlib.sha256(msgspec.json.encode(value)).hexdigest()

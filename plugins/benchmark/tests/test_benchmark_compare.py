@@ -92,7 +92,7 @@ def test_people_are_asked_and_their_answers_stand_beside_the_figures(world, tmp_
     (turned,) = [one for one in document["people"] if one["question"] == "overall"]
     assert (turned["preference"], turned["better"]) == (-overall["preference"], "pasted")
     assert (turned["low"], turned["high"]) == (-overall["high"], -overall["low"])
-    with pytest.raises(UserError, match="of a study of noise against pasted, not of these"):
+    with pytest.raises(UserError, match="of a study of noise against pasted, not of two of these"):
         main([str(results), "pasted", "unstyled", "--answers", str(out / "analysis")])
 
 
@@ -103,7 +103,8 @@ def test_people_are_asked_and_their_answers_stand_beside_the_figures(world, tmp_
         (["noise", "noise"], "each once"),
         (["noise", "pastel"], "Did you mean 'pasted'"),
         (["noise", "pasted", "sets=4"], "needs --with-people"),
-        (["noise", "pasted", "unstyled", "--with-people", "OUT", "--track", "TRACK"], "compares two methods"),
+        (["noise", "--with-people", "OUT", "--track", "TRACK"], "name two or more"),
+        (["noise", "pasted", "unstyled", "--with-people", "OUT", "--track", "TRACK"], "plan at most 36 sets"),
         (["noise", "pastel", "--with-people", "OUT", "--track", "TRACK"], "Did you mean 'pasted'"),
         (["noise", "pasted", "--answers", "OUT"], "there is no"),
     ],

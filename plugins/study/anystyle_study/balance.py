@@ -12,59 +12,66 @@ from scipy import optimize
 from anystyle.errors import UserError
 
 
-def draw_pairs(available: Bool[np.ndarray, "S T"], count: int, generator: np.random.Generator) -> list[tuple[int, int]]:
-    """Draw ``count`` different scene-style pairs, as evenly over scenes and over styles as the available ones allow."""
-    pairs = np.argwhere(available)
-    if len(pairs) < count:
+def draw_pairs(
+    available: Bool[np.ndarray, "S T *P"], count: int, generator: np.random.Generator
+) -> list[tuple[int, ...]]:
+    """Draw ``count`` different scene-style pairs, as evenly over scenes and over styles as the available ones allow.
+
+    With a third axis, of pairs of methods, as evenly over these, too, and over pairs of scene and style.
+    """
+    found = np.argwhere(available)
+    if len(found) < count:
+        what = "pairs of scene and style have results of every method"
+        what = what if available.ndim == 2 else "pairs of methods are there in all scenes and styles"
         raise UserError(
-            f"{count} sets are asked for and {len(pairs)} pairs of scene and style have results of every method; "
-            f"plan at most {len(pairs) - len(pairs) % 2} sets, or add results"
+            f"{count} sets are asked for and {len(found)} {what}; plan at most {len(found) - len(found) % 2} sets "
+            "(pool=, sets=), or add results"
         )
-    chosen = _evenly(pairs, available.shape, count, generator)
-    return [(int(scene), int(style)) for scene, style in generator.permutation(pairs[chosen])]
+    return [tuple(row) for row in generator.permutation(found[_evenly(found, count, generator)]).tolist()]
 
 
 def balanced_subsets(
-    pairs: Int[np.ndarray, "pool 2"], count: int, rounds: int, generator: np.random.Generator
+    sets: Int[np.ndarray, "pool F"], count: int, rounds: int, generator: np.random.Generator
 ) -> Int[np.ndarray, "rounds count"]:
-    """Draw ``rounds`` subsets of a pool of scene-style pairs; how often two sets are drawn differs by at most one.
+    """Draw ``rounds`` subsets of a pool of sets; how often two sets are drawn differs by at most one.
 
-    Within that, each subset is as even over scenes and over styles as possible.
+    Within that, each subset is as even over scenes, styles and further factors (columns) as possible.
     """
-    shape = tuple((pairs.max(axis=0) + 1).tolist())
-    times = np.zeros(len(pairs), dtype=int)
+    times = np.zeros(len(sets), dtype=int)
     subsets = []
     for _ in range(rounds):
         threshold = np.sort(times)[count - 1]
-        subset = _evenly(pairs, shape, count, generator, low=times < threshold, high=times <= threshold)
+        subset = _evenly(sets, count, generator, low=times < threshold, high=times <= threshold)
         times[subset] += 1
         subsets.append(subset)
     return np.array(subsets)
 
 
 def _evenly(
-    pairs: Int[np.ndarray, "N 2"],
-    shape: tuple[int, ...],
+    sets: Int[np.ndarray, "N F"],
     count: int,
     generator: np.random.Generator,
     low: Any = 0,  # scipy's stubs know single bounds only
     high: Any = 1,
 ) -> Int[np.ndarray, " count"]:
-    """Indices of the most even draw of pairs, at least ``low`` and at most ``high`` of each; ties at random.
+    """Indices of the most even draw over each factor, and over scene-style pairs (the first two factors together).
 
-    A transport problem with random costs; the evenness is relaxed until there is a solution.
+    At least ``low`` and at most ``high`` of each set, ties at random. A transport problem with random costs; the
+    evenness is relaxed until there is a solution.
     """
-    costs = generator.random(len(pairs))
+    costs = generator.random(len(sets))
+    factors = [np.unique(of, axis=0, return_inverse=True)[1].ravel() for of in (*sets.T, sets[:, :2])]
     for slack in range(count + 1):
-        constraints = [optimize.LinearConstraint(np.ones((1, len(pairs))), count, count)]
-        for axis, size in enumerate(shape):
-            members = np.arange(size)[:, None] == pairs[:, axis]
+        constraints = [optimize.LinearConstraint(np.ones((1, len(sets))), count, count)]
+        for levels in factors:
+            size = levels.max() + 1
+            members = np.arange(size)[:, None] == levels
             each = math.floor(count / size) - slack, math.ceil(count / size) + slack
             constraints.append(optimize.LinearConstraint(members.astype(float), *each))
         result = optimize.milp(costs, integrality=1, bounds=optimize.Bounds(low, high), constraints=constraints)
         if result.x is not None:
             return np.flatnonzero(result.x > 0.5)
-    raise AssertionError("any pairs at all fit within a slack of as many")
+    raise AssertionError("any sets at all fit within a slack of as many")
 
 
 def balanced_positions(

@@ -116,8 +116,8 @@ def design_command(arguments: argparse.Namespace) -> None:
     ours, out = arguments.ours or next(iter(methods), ""), arguments.out
     study = design(Sources(methods, ours, arguments.styles, arguments.contents), plan, out)
     print(
-        f"{len(study.items)} sets of {study.ours} against {', '.join(study.baselines)} for {len(study.participants)} "
-        f"participants: {out}/study.json, balance.md, pictures/\n"
+        f"{len(study.items)} sets of {study.compared} for {len(study.participants)} participants: {out}/study.json, "
+        f"balance.md, pictures/\n"
         f"next: anystyle study form {out} --out form.html, or --serve"
     )
 

@@ -5,7 +5,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import msgspec
@@ -49,25 +49,30 @@ def design(sources: Sources, plan: Plan, out: Path) -> Study:
     generator = np.random.default_rng(plan.seed)
     scenes, styles = (sorted(set(names)) for names in zip(*usable, strict=True))
     available = np.array([[(scene, style) in usable for style in styles] for scene in scenes])
-    drawn = draw_pairs(available, plan.pool or plan.sets, generator)
-    pairs = [(scenes[row], styles[column]) for row, column in drawn]
     baselines = tuple(name for name in sources.methods if name != sources.ours)
-    against = generator.permutation(np.arange(len(pairs)) % len(baselines))
+    sets = plan.pool or plan.sets
+    if plan.pairs == "ours":
+        rivals = [(sources.ours, name) for name in baselines]
+        cells = draw_pairs(available, sets, generator)
+        drawn = [*zip(*zip(*cells, strict=True), generator.permutation(np.arange(sets) % len(rivals)), strict=True)]
+    else:
+        rivals = [*combinations(sources.methods, 2)]
+        drawn = draw_pairs(np.repeat(available[..., None], len(rivals), axis=2), sets, generator)
     with atomic_directory(out) as folder:
         writer = _Writer(folder / PICTURES, plan, generator)
-        degraded = pictures.spread(range(len(pairs)), plan.degraded)
+        degraded = pictures.spread(range(sets), plan.degraded)
         items, checks, notes = [], [], left_out
-        for number, (pair, rival) in enumerate(zip(pairs, against.tolist(), strict=True)):
-            frames = [results[name][pair] for name in (sources.ours, baselines[rival])]
-            groups, cut = _images(frames, contents[pair[0]], plan)
-            about = (f"set-{number + 1:03d}", *pair, baselines[rival])
-            item = _item(about, style_files[pair[1]], writer, groups)
+        for number, (row, column, rival) in enumerate(drawn):
+            pair, (method, other) = (scenes[row], styles[column]), rivals[rival]
+            groups, cut = _images([results[name][pair] for name in (method, other)], contents[pair[0]], plan)
+            item = _item((f"set-{number + 1:03d}", *pair, other), style_files[pair[1]], writer, groups)
+            item = msgspec.structs.replace(item, method=method if plan.pairs == "all" else "")
             items.append(item)
             notes += [f"{item.id}: {name} has other proportions than ours and was cropped" for name in cut]
             if number in degraded:  # by ours and by the others in turn
                 turn = len(checks) % 2
                 files = writer.views([pictures.degraded(image) for image in groups[turn]])
-                identity = f"set-{len(pairs) + len(checks) + 1:03d}"
+                identity = f"set-{sets + len(checks) + 1:03d}"
                 checks.append(Check(identity, "degraded", item.id, (item.ours, item.theirs)[turn], files))
         participants, repeats = _participants(plan, items, checks, generator)
         study = Study("", sources.ours, baselines, plan, tuple(items), (*checks, *repeats), participants)
@@ -99,22 +104,32 @@ def _usable(
 
 
 class _Writer:
-    """Writes pictures under meaningless names; ``digest`` hashes them all, for the study's id."""
+    """Writes pictures under meaningless names, the same ones once; ``digest`` hashes them all, for the study's id."""
 
     def __init__(self, folder: Path, plan: Plan, generator: np.random.Generator) -> None:
         folder.mkdir()
         self.folder, self.plan, self.generator = folder, plan, generator
         self.digest = hashlib.sha256()
+        self.written: dict[bytes, tuple[str, ...]] = {}
 
     def picture(self, image: Image.Image) -> str:
+        return self.views([image])[0]
+
+    def views(self, images: Sequence[Image.Image]) -> tuple[str, ...]:
+        """The files of the images, or of one video of them with its first image as the poster."""
+        pixels = hashlib.sha256(b"".join(image.tobytes() for image in images)).digest()
+        if pixels not in self.written:
+            self.written[pixels] = self._write(images)
+        return self.written[pixels]
+
+    def _picture(self, image: Image.Image) -> str:
         name = f"{self.generator.bytes(6).hex()}.jpg"
         image.save(self.folder / name, "JPEG", quality=92, subsampling=0, optimize=True)
         self.digest.update((self.folder / name).read_bytes())
         return name
 
-    def views(self, images: Sequence[Image.Image]) -> tuple[str, ...]:
-        """Write the images, or one video of them with its first image as the poster."""
-        names = tuple(map(self.picture, images if self.plan.show != "video" else images[:1]))
+    def _write(self, images: Sequence[Image.Image]) -> tuple[str, ...]:
+        names = tuple(map(self._picture, images if self.plan.show != "video" else images[:1]))
         if self.plan.show != "video" or len(images) == 1:
             return names
         video = Path(names[0]).with_suffix(".mp4").name
@@ -164,9 +179,10 @@ def _participants(
     plan: Plan, items: Sequence[Item], checks: Sequence[Check], generator: np.random.Generator
 ) -> tuple[tuple[Participant, ...], tuple[Check, ...]]:
     """Order and positions for each participant, and the repeated sets that these need."""
-    columns = ([item.scene for item in items], [item.style for item in items])
-    pairs = np.stack([np.unique(column, return_inverse=True)[1] for column in columns], axis=1)
-    subsets = balanced_subsets(pairs, plan.sets, plan.participants // 2, generator)
+    columns = [[item.scene for item in items], [item.style for item in items]]
+    columns += [[f"{item.method}/{item.baseline}" for item in items]] * (plan.pairs == "all")
+    factors = np.stack([np.unique(column, return_inverse=True)[1] for column in columns], axis=1)
+    subsets = balanced_subsets(factors, plan.sets, plan.participants // 2, generator)
     positions = balanced_positions(plan.participants, plan.sets, generator)
     flipped = balanced_positions(plan.participants, 2 * math.ceil(len(checks) / 2), generator) if checks else positions
     orders = latin_orders(plan.participants, plan.sets, generator)
@@ -206,8 +222,12 @@ def balance(study: Study) -> dict[str, tuple[int, int]]:
         return [times[value] for value in {getattr(item, name) for item in study.items}]
 
     attributes = ("scene", "style")
+    shown = Counter(name for item in study.items for name in study.methods(item))
+    between = Counter(map(study.methods, study.items))
+    per_method = {"sets per method": [*shown.values()], "sets per pair of methods": [*between.values()]}
     counts = {
-        **{f"sets per {name}": count(study.items, name) for name in (*attributes, "baseline")},
+        **{f"sets per {name}": count(study.items, name) for name in attributes},
+        **(per_method if study.plan.pairs == "all" else {"sets per baseline": count(study.items, "baseline")}),
         "participants per set": [seen[entry] for entry in sets],
         "ours is A per participant": [len(person.ours_is_a & sets.keys()) for person in study.participants],
         "ours is A per set": [ours_is_a[entry] for entry in sets],

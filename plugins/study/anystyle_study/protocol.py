@@ -75,6 +75,8 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     participants: int = 40  # number of participants; even, so that every set is seen in both positions equally often
     sets: int = 20  # sets that each participant judges; even, so that ours is A in half of them
     pool: int = 0  # sets in all; 0 for as many as each participant judges
+    # ``ours`` against each of the other methods, or ``all`` pairs of methods, of which each set shows one
+    pairs: Literal["ours", "all"] = "ours"
     views: int = 1  # views of each method in a set
     # all views in a ``grid``, one at a time as a ``flipbook``, or as a looping ``video``
     show: Literal["grid", "flipbook", "video"] = "grid"
@@ -127,7 +129,7 @@ _PICTURE = re.compile(r"[0-9a-f]{12}\.(jpg|mp4)")
 
 
 class Item(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A set: one scene in one style by ours and by a baseline."""
+    """A set: one scene in one style by ours and by a baseline, or by two methods of a study of all pairs."""
 
     id: str  # column value in the answers
     scene: str  # name of the scene
@@ -138,6 +140,7 @@ class Item(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     content: tuple[str, ...]  # files of the photographs
     reference: str = ""  # file of the style, or empty
     text: str = ""  # the style in words, or empty
+    method: str = ""  # the method that is ``ours`` in this set; empty for the study's
 
 
 class Check(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -187,6 +190,16 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         """The set with an id, or the one that an attention check was made from."""
         entry = self.shown[name]
         return entry if isinstance(entry, Item) else self.item(entry.of)
+
+    def methods(self, item: Item) -> tuple[str, str]:
+        """The methods of a set, that which is ours in it first."""
+        return item.method or self.ours, item.baseline
+
+    @property
+    def compared(self) -> str:
+        """Which methods are compared, in words."""
+        names = ", ".join(self.baselines)
+        return f"every two of {self.ours}, {names}" if self.plan.pairs == "all" else f"{self.ours} against {names}"
 
     @property
     def pictures(self) -> tuple[str, ...]:

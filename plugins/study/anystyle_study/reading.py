@@ -214,12 +214,13 @@ def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any
         raise UserError(f"{where}: {unknown('question', row['question'], questions)}")
     item = study.item(name)
     ours_is_a = name in participant.ours_is_a
+    of = f" (ours is {item.method})" * bool(item.method)
     return {
         "ours_is_a": ours_is_a,
         "method": ("ours" if (side == "A") == ours_is_a else "theirs") if side else "",
         "check": shown.kind if isinstance(shown, Check) else "",
         "of": item.id,
-        "comparison": item.baseline if len(study.baselines) > 1 else "",
+        "comparison": item.baseline + of if len(study.baselines) > 1 else "",
         "scene": item.scene,
         "style": item.style,
     }

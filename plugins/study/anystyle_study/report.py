@@ -147,7 +147,7 @@ def _gallery(question: QuestionAnalysis, study: Study, folder: Path) -> dict[str
 
     def shown(item: Item, mean: Mean, longest: int) -> dict[str, Any]:
         names = {"photograph": item.content, "style": (item.reference,) if item.reference else ()}
-        names |= {study.ours: item.ours, item.baseline: item.theirs}
+        names |= dict(zip(study.methods(item), (item.ours, item.theirs), strict=True))
         pictures = {name: _picture(folder, files, longest) for name, files in names.items() if files}
         return {"item": item, "mean": mean, "pictures": {name: data for name, data in pictures.items() if data}}
 

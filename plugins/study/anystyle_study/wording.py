@@ -116,8 +116,8 @@ def registered(analysis: Analysis) -> list[str]:
         plan, asked = study.plan, [f"{item.name} ({item.kind}): “{item.text}”" for item in study.plan.questions]
         lines.append(
             f"Design {study.id}, drawn with seed {plan.seed}: {plan.participants} participants, {plan.sets} of "
-            f"{len(study.items)} sets each, {study.ours} against {', '.join(study.baselines)}; "
-            f"{plan.degraded} degraded and {plan.repeats} repeated sets each as attention checks. {'; '.join(asked)}."
+            f"{len(study.items)} sets each, {study.compared}; {plan.degraded} degraded and "
+            f"{plan.repeats} repeated sets each as attention checks. {'; '.join(asked)}."
         )
     excluded = [f"miss more than {percent(rules.missing_share)} of the answers they were assigned"]
     if rules.failed_checks is not None:

@@ -14,9 +14,10 @@ from anystyle_study.balance import balanced_positions, balanced_subsets, draw_pa
 from anystyle_study.commands import read_plan
 from anystyle_study.design import Sources, balance, design
 from anystyle_study.protocol import Rules, read_study
+from anystyle_study.reading import read_responses
 from anystyle_study.server import sequence
 from anystyle_study.store import Store
-from tests.support.study_cases import QUESTIONS, small_plan, small_study, write_results
+from tests.support.study_cases import QUESTIONS, small_plan, small_study, write_csv, write_results
 
 
 def opened(path):
@@ -187,6 +188,32 @@ def test_several_methods_and_styles_in_words(tmp_path):
     words = [item for item in study.items if item.style == "style0"]
     assert words
     assert all((item.text, item.reference) == ("thick swirling strokes", "") for item in words)
+
+
+def test_every_two_methods_are_compared_equally_often(tmp_path):
+    sources = write_results(tmp_path, methods=("one", "two", "three"))
+    study = design(sources, small_plan(pairs="all", pool=36, sets=12, repeats=1), tmp_path / "study")
+    counts = balance(study)
+    assert study.compared == "every two of one, two, three"
+    assert (counts["sets per pair of methods"], counts["sets per method"]) == ((12, 12), (24, 24))
+    assert Counter((item.scene, item.style) for item in study.items) == dict.fromkeys(
+        {(f"scene{scene}", f"style{style}") for scene in range(4) for style in range(3)}, 3
+    )
+    for one in study.participants:  # each scene and style once, by whichever two
+        shown = [study.item(name) for name in one.order if name in {item.id for item in study.items}]
+        assert len({(item.scene, item.style) for item in shown}) == len(shown) == 12
+        assert set(Counter(map(study.methods, shown)).values()) == {4}
+    names = {name for item in study.items for name in (*item.ours, *item.theirs)}
+    assert len(names) == 3 * 12  # a picture that several sets show is one file
+    page = json.dumps([sequence(study, one) for one in study.participants])
+    assert not any(name in page for name in ("one", "two", "three"))
+    people = [one.id for one in study.participants]
+    rows = [(one, item.id, "style", 1) for one in people for item in study.items if study.shows(item.id, one)]
+    answers = read_responses([write_csv(tmp_path / "a.csv", rows, "participant,item,question,score")], study).answers
+    assert len(answers) == 4 * 12
+    for answer in answers:
+        item = study.item(answer.item)
+        assert answer.comparison == f"{item.baseline} (ours is {item.method})"
 
 
 @pytest.mark.parametrize(("views", "numbers"), [(1, [2]), (2, [1, 3])])
