@@ -14,6 +14,7 @@ from plyfile import PlyData
 from anystyle.commands import stylize
 from anystyle.errors import UserError
 from anystyle.formats.ply import Ply
+from anystyle.io.atomic import folder_lock
 from anystyle.io.video import write_video
 from anystyle.pipeline.saved import read_saved
 from anystyle.stylizer import Stylizer
@@ -205,6 +206,38 @@ def test_a_full_disk_leaves_the_results_of_the_last_run(photographs, tmp_path, c
     assert "No space left on device" in fails(capsys, *words)
     after = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
     assert after == before
+
+
+def test_a_folder_of_other_results_is_refused_and_replaced_where_it_is_asked_for(
+    photographs, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(photographs.parent)
+    out, words = tmp_path / "out", [photographs.name, "--text", "gold", *SMALL]
+    run(*words, "--text", "silver", "--out", out)
+    made = json.loads((out / "report.json").read_text())["style"]
+    (out / "01-gold" / "retouched.psd").write_text("mine")
+    with monkeypatch.context() as patched:
+        patched.setattr("anystyle.pipeline.stylize.load_model", lambda *_, **__: pytest.fail("the work began"))
+        refused = fails(capsys, *words, "--out", out)
+    assert f"{out} holds results of another run; --overwrite" in refused
+    assert json.loads((out / "report.json").read_text())["style"] == made
+    run(*words, "--out", out, "--overwrite")
+    assert json.loads((out / "report.json").read_text())["style"] == "“gold”"
+    assert (out / "01-gold" / "retouched.psd").is_file() and not (out / "02-silver").exists()
+    run(*words, "--out", out)  # the same again
+    run("--again", out / "report.json", "--out", out)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / photographs.name).symlink_to(photographs)
+    assert "holds results of another run" in fails(capsys, *words, "--out", out)  # photographs of another folder
+    assert "holds results of another run" in fails(capsys, "--again", out / "report.json", "seed=1", "--out", out)
+
+
+def test_a_second_run_into_a_folder_is_told_before_its_work(photographs, tmp_path, capsys):
+    out = tmp_path / "out"
+    with folder_lock(out, "taken"):
+        line = fails(capsys, photographs, "--text", "gold", "--out", out, "weights.branch=absent.safetensors", *SMALL)
+    assert f"another run writes its results to {out}; wait for its end" in line
+    assert not out.exists()
 
 
 def test_a_backbone_from_a_folder_outside_the_project_stylizes(photographs, tmp_path, monkeypatch):

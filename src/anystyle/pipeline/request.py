@@ -1,6 +1,8 @@
 """What ``anystyle stylize`` is asked for, as one value: from the arguments of the command line, and back to them."""
 
 import argparse
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -151,6 +153,14 @@ class Request:
         inputs = [f"./{path}" if path.startswith("-") or is_override(path) else path for path in self.inputs]
         return [*inputs, *_styles_as_args(self.styles), *_controls_as_args(self.controls), *self.overrides]
 
+    @property
+    def digest(self) -> str | None:
+        """By which the same request from the same folder is known again; ``None`` if something of it is in memory."""
+        try:
+            return hashlib.sha256(json.dumps([str(Path.cwd()), *self.args()]).encode()).hexdigest()
+        except UserError:
+            return None
+
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle stylize``; every other argument is a Hydra override."""
@@ -191,6 +201,7 @@ def parser() -> argparse.ArgumentParser:
     add("--no-provenance", action="store_true", help="files say nothing of photographs, styles and networks")
     add("--again", metavar="REPORT", help="what a report.json was asked for; further arguments are added")
     add("--out", default="out", help="where the results go (default: %(default)s)")
+    add("--overwrite", action="store_true", help="replace the results of another run in --out")
     add("--open", action="store_true", help="look at them in the browser, where there is a display")
     return flags
 
