@@ -57,6 +57,6 @@ def _views(scene: StyledScene) -> DepthViews:
     if views.agreement < AGREEMENT:
         raise UserError(
             f"of what the cameras see {views.agreement:.0%} is at the same depth for others, and a mesh needs "
-            f"{AGREEMENT:.0%}; photograph from more places, or fit with reconstruction.quality=best"
+            f"{AGREEMENT:.0%}; photograph from more places, or fit with reconstruction=fit reconstruction.quality=best"
         )
     return views
