@@ -12,6 +12,7 @@ from PIL import Image
 from plyfile import PlyData
 
 from anystyle.commands import stylize
+from anystyle.commands.export import export, parser
 from anystyle.errors import UserError
 from anystyle.formats.ply import Ply
 from anystyle.io.atomic import folder_lock
@@ -151,6 +152,16 @@ def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_b
     assert [title for title, _ in read_saved(out).styles] == titles
     manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', (out / "scene.html").read_text(), re.S)[1])
     assert [style["title"] for style in manifest["styles"]] == titles
+    # The tensors beside them are scenes, too.
+    for scene, style in ((out / "unstyled.safetensors", 0), (out / first / "scene.safetensors", 1)):
+        alone, (title, gaussians) = read_saved(scene), read_saved(out).styles[style]
+        assert [name for name, _ in alone.styles] == [title] and len(alone.names) == 2
+        assert torch.equal(alone.styles[0][1].harmonics, gaussians.harmonics)
+    export(parser().parse_args([str(out / "unstyled.safetensors"), "--out", str(tmp_path / "unstyled.ply")]))
+    assert PlyData.read(tmp_path / "unstyled.ply")["vertex"].count == report["gaussians"]
+    for missing in ("scene.ply", "scene.safetensors", "nothing"):
+        with pytest.raises(UserError, match=f"there is no file or folder {tmp_path / missing}$"):
+            export(parser().parse_args([str(tmp_path / missing), "--out", str(tmp_path / "a.ply")]))
     run(photographs, *words, "--out", again, *SMALL)
     of_style = ("scene.ply", "scene.safetensors", "renders/img-1.png", "sheet.png", "cameras.json", "video.mp4")
     for file in ("sheet.png", *(f"{second}/{name}" for name in of_style)):

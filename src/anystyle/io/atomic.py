@@ -70,9 +70,7 @@ def write_json(path: str | Path, value: object) -> None:
 
 
 @contextmanager
-def atomic_directory(
-    target: str | Path, expected: Collection[str] = (), *, overwrite: bool = False
-) -> Iterator[Path]:
+def atomic_directory(target: str | Path, expected: Collection[str] = (), *, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary directory whose files move into ``target`` when the block succeeds.
 
     Entries of the same names from an earlier call are replaced, and with ``overwrite`` all of them; others stay, and a

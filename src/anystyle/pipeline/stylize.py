@@ -102,9 +102,8 @@ def stylize(
     stages = stages or Stages()
     request.check()
     torch.manual_seed(request.seed)
-    with contextlib.nullcontext() if out is None else _results_folder(
-        Path(out), request, overwrite=overwrite, again=None if in_memory else request.digest
-    ) as folder:
+    again = None if in_memory else request.digest
+    with contextlib.nullcontext() if out is None else _results_folder(Path(out), request, overwrite, again) as folder:
         with stages("load", "the model"):
             loaded = load_model(request, **in_memory)
         with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
@@ -117,7 +116,7 @@ def stylize(
 
 
 @contextlib.contextmanager
-def _results_folder(out: Path, request: Request, *, overwrite: bool, again: str | None) -> Iterator[Path]:
+def _results_folder(out: Path, request: Request, overwrite: bool, again: str | None) -> Iterator[Path]:
     """A temporary folder whose files move to ``out``, which is refused before the work begins if it is not free.
 
     It is free for a request of the digest ``again`` whose results it holds: the same files are made again.
