@@ -155,7 +155,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), notes)
         case Path():
             file = resolved(style)
-            title, image, notes = text_of(file.stem), read_image(file)[None], (note("image", [file]),)
+            title, image, notes = text_of(file.stem), read_image(file, masked=True)[None], (note("image", [file]),)
         case Tensor():
             title, image, notes = "image", style[None], (note("image"),)
         case Style(image=Tensor() as image, names=names):
