@@ -74,8 +74,8 @@ def test_every_file_is_there_and_agrees(photographs, tmp_path):
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()) == [
         ".anystyle",
         "cameras.json",
-        "renders/img-0.png",
-        "renders/img-1.png",
+        "renders/IMG 0.png",
+        "renders/IMG 1.png",
         "report.json",
         "scene.ply",
         "scene.safetensors",
@@ -88,7 +88,7 @@ def test_every_file_is_there_and_agrees(photographs, tmp_path):
     assert PlyData.read(out / "scene.ply")["vertex"].count == report["gaussians"] > 0
     assert report["views"] == 2 and all(seconds >= 0 for seconds in report["seconds"].values())
     assert set(report["weights"]) >= {"backbone", "style_encoder", "style_encoder/magenta_text", "branch"}
-    with Image.open(out / "renders" / "img-0.png") as render:
+    with Image.open(out / "renders" / "IMG 0.png") as render:
         assert render.size == (70, 56)
     cameras = json.loads((out / "cameras.json").read_text())
     assert [view["name"] for view in cameras["views"]] == ["IMG 0", "IMG 1"]
@@ -163,7 +163,7 @@ def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_b
         with pytest.raises(UserError, match=f"there is no file or folder {tmp_path / missing}$"):
             export(parser().parse_args([str(tmp_path / missing), "--out", str(tmp_path / "a.ply")]))
     run(photographs, *words, "--out", again, *SMALL)
-    of_style = ("scene.ply", "scene.safetensors", "renders/img-1.png", "sheet.png", "cameras.json", "video.mp4")
+    of_style = ("scene.ply", "scene.safetensors", "renders/IMG 1.png", "sheet.png", "cameras.json", "video.mp4")
     for file in ("sheet.png", *(f"{second}/{name}" for name in of_style)):
         assert (out / file).read_bytes() == (again / file).read_bytes(), file
 

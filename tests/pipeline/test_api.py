@@ -126,7 +126,7 @@ def test_views_that_were_read_already_keep_their_known_cameras(stylizer):
     targets = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("target")).encoded
     known = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("known")).encoded
     assert predicted.encoded.targets is None and predicted.encoded.scene_from_known is None
-    assert targets.targets is not None and targets.targets[0] == ("view-00", "view-01", "view-02")
+    assert targets.targets is not None and targets.targets[0] == ("view_00", "view_01", "view_02")
     assert torch.equal(targets.cameras.world_from_camera, predicted.encoded.cameras.world_from_camera)
     assert known.scene_from_known is not None
     expected = known.scene_from_known.poses(views.cameras.world_from_camera)
@@ -158,6 +158,9 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(photographs, stylize
 
 
 def test_names_are_plain_and_bounded():
-    assert slug("Étude in Blau/Weiß\n../../etc") == "etude-in-blau-wei-etc"
+    assert slug("Étude in Blau/Weiß\n../../etc") == "étude-in-blau-weiß-etc"
+    for title in ("梵高 的 星空", "звёздная ночь", "ليلة النجوم", "तारों भरी रात"):
+        assert slug(title) == title.replace(" ", "-")[: len(slug(title))] and len(slug(title).encode()) <= 40
+    assert slug("🌊") == "style" and slug("🌊 Welle") == "welle"
     assert slug("…") == "style"
     assert len(slug("word " * 100)) <= 40

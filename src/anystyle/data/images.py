@@ -142,11 +142,11 @@ def _opaque(image: Image.Image) -> Image.Image:
     """What is at least half opaque of an image, and its mirror image in the rest of its bounding box."""
     if not _has_alpha(image):
         return image
-    whole = image.convert("RGBA")
-    box = whole.getchannel("A").point(lambda alpha: 255 * (alpha >= 128)).getbbox()
-    if box is None:
+    pixels = np.asarray(image.convert("RGBA"))
+    rows, columns = np.nonzero(pixels[..., 3] >= 128)
+    if not len(rows):
         raise UserError("a picture is transparent everywhere; give one with something in it")
-    pixels = np.asarray(whole.crop(box))
+    pixels = pixels[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     opaque = pixels[..., 3] >= 128
     nearest = distance_transform_edt(~opaque, return_distances=False, return_indices=True)
     assert isinstance(nearest, np.ndarray)

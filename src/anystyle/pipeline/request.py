@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from anystyle.cli.arguments import is_override, new_parser, split
 from anystyle.cli.launch import checked_seed
@@ -157,9 +157,11 @@ class Request:
     def digest(self) -> str | None:
         """By which the same request from the same folder is known again; ``None`` if something of it is in memory."""
         try:
-            return hashlib.sha256(json.dumps([str(Path.cwd()), *self.args()]).encode()).hexdigest()
+            asked = [str(Path.cwd()), *replace(self, overrides=()).args()]
         except UserError:
             return None
+        config = OmegaConf.to_yaml(self.config, resolve=True, sort_keys=True)
+        return hashlib.sha256(json.dumps([*asked, config]).encode()).hexdigest()
 
 
 def parser() -> argparse.ArgumentParser:

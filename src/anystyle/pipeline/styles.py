@@ -1,7 +1,6 @@
 """Styles as inputs: texts, images, mixtures of two, and several by place."""
 
 import logging
-import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -210,7 +209,10 @@ def placed(parts: Sequence[EmbeddedStyle]) -> EmbeddedStyle:
 
 
 def slug(text: str, limit: int = 40) -> str:
-    """A text as part of a file name: lower-case ASCII words joined by hyphens."""
-    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
-    words = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
-    return words[:limit].rstrip("-") or "style"
+    """A text as part of a file name: lower-case words in letters of any script, joined by hyphens.
+
+    ``limit`` is in bytes of UTF-8; a text without letters and digits is ``style``.
+    """
+    plain = unicodedata.normalize("NFKC", text).lower()
+    words = "".join(letter if unicodedata.category(letter)[0] in "LMN" else " " for letter in plain).split()
+    return "-".join(words).encode()[:limit].decode(errors="ignore").rstrip("-") or "style"
