@@ -10,13 +10,13 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
+from anystyle import Controls, ExportOptions, Mixture, Named, PoseOptions, Request, ViewOptions
 from anystyle.commands import stylize
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import read_views
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import slug
+from anystyle.pipeline.styles import embed_styles, slug
 from anystyle.types import Gaussians, Style
 
 VIEWS = ViewOptions(short_side=56, take=3)
@@ -164,3 +164,17 @@ def test_names_are_plain_and_bounded():
     assert slug("🌊") == "style" and slug("🌊 Welle") == "welle"
     assert slug("…") == "style"
     assert len(slug("word " * 100)) <= 40
+
+
+def test_a_style_has_the_name_that_it_is_given_else_the_paintings_title(stylizer, tmp_path):
+    Image.new("RGB", (40, 30), (200, 30, 30)).save(tmp_path / "45.jpg")
+    styles = [
+        Named(tmp_path / "45.jpg", "Blue  Horses"),
+        Path("example:wave"),
+        tmp_path / "45.jpg",
+        Named("ink", "Tinte"),
+    ]
+    embedded = embed_styles(styles, stylizer)
+    assert [style.title for style in embedded] == ["Blue Horses", "The Great Wave off Kanagawa", "45", "Tinte"]
+    assert [style.name for style in embedded] == ["blue-horses", "the-great-wave-off-kanagawa", "45", "tinte"]
+    assert torch.equal(embedded[0].embedding.vector, embedded[2].embedding.vector)

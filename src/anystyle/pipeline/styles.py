@@ -12,9 +12,8 @@ from torch import Tensor
 
 from anystyle.data.images import image_size, read_image
 from anystyle.errors import UserError
-from anystyle.examples import resolved
+from anystyle.examples import resolved, title_of
 from anystyle.io.sheet import Cell, side_by_side, to_pil
-from anystyle.paths import text_of
 from anystyle.pipeline.controls import Controls, Mask, rescaled
 from anystyle.pipeline.provenance import note
 from anystyle.stylizer import Stylizer
@@ -53,8 +52,20 @@ class Places:
     styles: tuple[tuple["StyleInput", Mask | Controls | None], ...]
 
 
-StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places
-"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, or several by place."""
+@dataclass(frozen=True)
+class Named:
+    """A description or an image file under a name of its own, for folders, sheets and pages.
+
+    Example:
+        >>> named = Named(Path("IMG_0045.jpg"), "Grandmother's quilt")
+    """
+
+    style: str | Path
+    name: str
+
+
+StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places | Named
+"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, several by place; or with a name."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +118,9 @@ def check_styles(styles: Sequence[StyleInput]) -> None:
             check_text(style)
         elif isinstance(style, Path):
             image_size(resolved(style))
+        elif isinstance(style, Named):
+            check_text(style.name, "the name of a style")
+            check_styles([style.style])
         elif isinstance(style, Mixture):
             check_styles([style.first, style.second])
         elif isinstance(style, Places):
@@ -129,6 +143,8 @@ def embed_styles(
                 places = [place if isinstance(place, Controls) else Controls(mask=place) for _, place in styles]
                 parts = zip(styles, places, strict=True)
                 result = placed([replace(embed(part, scale), controls=place) for (part, _), place in parts])
+            case Named(style=inner, name=name):
+                result = replace(embed(inner, scale), name=slug(name), title=" ".join(name.split()))
             case _:
                 result = _embed(style, stylizer, scale)
         return embedded.setdefault((id(style), scale), result)
@@ -154,7 +170,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), notes)
         case Path():
             file = resolved(style)
-            title, image, notes = text_of(file.stem), read_image(file, masked=True)[None], (note("image", [file]),)
+            title, image, notes = title_of(style), read_image(file, masked=True)[None], (note("image", [file]),)
         case Tensor():
             title, image, notes = "image", style[None], (note("image"),)
         case Style(image=Tensor() as image, names=names):

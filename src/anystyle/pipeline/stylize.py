@@ -23,7 +23,7 @@ from anystyle.pipeline.read import Inputs, paths_of, read, saved_path
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.results import Results
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import Mixture, Places, StyleInput, embed_styles
+from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, embed_styles
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, Views
 
@@ -53,7 +53,8 @@ def stylize(
             PLY file or a folder of results, which keeps its geometry. Or a :class:`~anystyle.Request`, which holds the
             other arguments; with it only parts that are in memory, ``out`` and ``stages`` are given.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
-            between two of these as :class:`Mixture`, several in one scene as :class:`Places`.
+            between two of these as :class:`Mixture`, several in one scene as :class:`Places`; texts and files under
+            another name as :class:`Named`.
         model: A preset of the group ``model`` (``None`` for the default), loaded onto a GPU where there is one; or a
             stylizer, such as :func:`anystyle.load` returns.
         views: How photographs are read, and how many are encoded together.
@@ -90,7 +91,7 @@ def stylize(
     else:
         request = Request.made(
             inputs,
-            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Places)) else styles,
+            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Named, Places)) else styles,
             [controls] if isinstance(controls, Controls) else controls,
             model=model if isinstance(model, str) else None,
             reconstruction=reconstruction if isinstance(reconstruction, str) else None,
