@@ -65,7 +65,7 @@ class Named:
 
 
 StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places | Named
-"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, several by place; or with a name."""
+"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, several by place or named."""
 
 
 @dataclass(frozen=True)
