@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from anystyle.pipeline.load import load
     from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
     from anystyle.pipeline.request import Request
-    from anystyle.pipeline.styles import Mixture, Places
+    from anystyle.pipeline.styles import Mixture, Named, Places
     from anystyle.pipeline.stylize import stylize
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog, plugin
@@ -40,7 +40,7 @@ _HOMES = {
     "pipeline.load": ("load",),
     "pipeline.options": ("ExportOptions", "PoseOptions", "SplatOptions", "ViewOptions"),
     "pipeline.request": ("Request",),
-    "pipeline.styles": ("Mixture", "Places"),
+    "pipeline.styles": ("Mixture", "Named", "Places"),
     "pipeline.stylize": ("stylize",),
     "registry.build": ("build",),
     "registry.catalog": ("catalog", "plugin"),
@@ -73,6 +73,7 @@ __all__ = [
     "Controls",
     "ExportOptions",
     "Mixture",
+    "Named",
     "Places",
     "PoseOptions",
     "Request",

@@ -105,7 +105,7 @@ class Stylizer(nn.Module):
             raise UserError("a style is either a text or an image; mix two embeddings with `toward`")
         if image is not None:
             if isinstance(image, (str, Path, Image.Image)):
-                image = read_image(image)[None].to(self.device)
+                image = read_image(image, masked=True)[None].to(self.device)
             check_tensor(image, Float[Tensor, "B 3 h w"], "the style image")
             self._check_images(image, "style image")
             vector, tokens = self.vectors_and_tokens(image)

@@ -182,7 +182,7 @@ def test_a_command_runs_with_flags_and_overrides(command):
         (
             ["reconstruction.quality=best"],
             "Could not override 'reconstruction.quality': Key 'reconstruction' is unknown; "
-            "choose one first: reconstruction=feedforward|fit",
+            "choose one first: reconstruction=fit",
         ),
         (["placement=full", "placement.every=1"], "Could not override 'placement.every': Key 'every' not in 'Full'"),
         (["placement=full", "placement.every_layer=x"], "Error merging override placement.every_layer=x: Value 'x'"),

@@ -12,8 +12,10 @@ from PIL import Image
 from plyfile import PlyData
 
 from anystyle.commands import stylize
+from anystyle.commands.export import export, parser
 from anystyle.errors import UserError
 from anystyle.formats.ply import Ply
+from anystyle.io.atomic import folder_lock
 from anystyle.io.video import write_video
 from anystyle.pipeline.saved import read_saved
 from anystyle.stylizer import Stylizer
@@ -72,8 +74,8 @@ def test_every_file_is_there_and_agrees(photographs, tmp_path):
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()) == [
         ".anystyle",
         "cameras.json",
-        "renders/img-0.png",
-        "renders/img-1.png",
+        "renders/IMG 0.png",
+        "renders/IMG 1.png",
         "report.json",
         "scene.ply",
         "scene.safetensors",
@@ -86,7 +88,7 @@ def test_every_file_is_there_and_agrees(photographs, tmp_path):
     assert PlyData.read(out / "scene.ply")["vertex"].count == report["gaussians"] > 0
     assert report["views"] == 2 and all(seconds >= 0 for seconds in report["seconds"].values())
     assert set(report["weights"]) >= {"backbone", "style_encoder", "style_encoder/magenta_text", "branch"}
-    with Image.open(out / "renders" / "img-0.png") as render:
+    with Image.open(out / "renders" / "IMG 0.png") as render:
         assert render.size == (70, 56)
     cameras = json.loads((out / "cameras.json").read_text())
     assert [view["name"] for view in cameras["views"]] == ["IMG 0", "IMG 1"]
@@ -150,8 +152,18 @@ def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_b
     assert [title for title, _ in read_saved(out).styles] == titles
     manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', (out / "scene.html").read_text(), re.S)[1])
     assert [style["title"] for style in manifest["styles"]] == titles
+    # The tensors beside them are scenes, too.
+    for scene, style in ((out / "unstyled.safetensors", 0), (out / first / "scene.safetensors", 1)):
+        alone, (title, gaussians) = read_saved(scene), read_saved(out).styles[style]
+        assert [name for name, _ in alone.styles] == [title] and len(alone.names) == 2
+        assert torch.equal(alone.styles[0][1].harmonics, gaussians.harmonics)
+    export(parser().parse_args([str(out / "unstyled.safetensors"), "--out", str(tmp_path / "unstyled.ply")]))
+    assert PlyData.read(tmp_path / "unstyled.ply")["vertex"].count == report["gaussians"]
+    for missing in ("scene.ply", "scene.safetensors", "nothing"):
+        with pytest.raises(UserError, match=f"there is no file or folder {tmp_path / missing}$"):
+            export(parser().parse_args([str(tmp_path / missing), "--out", str(tmp_path / "a.ply")]))
     run(photographs, *words, "--out", again, *SMALL)
-    of_style = ("scene.ply", "scene.safetensors", "renders/img-1.png", "sheet.png", "cameras.json", "video.mp4")
+    of_style = ("scene.ply", "scene.safetensors", "renders/IMG 1.png", "sheet.png", "cameras.json", "video.mp4")
     for file in ("sheet.png", *(f"{second}/{name}" for name in of_style)):
         assert (out / file).read_bytes() == (again / file).read_bytes(), file
 
@@ -205,6 +217,38 @@ def test_a_full_disk_leaves_the_results_of_the_last_run(photographs, tmp_path, c
     assert "No space left on device" in fails(capsys, *words)
     after = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
     assert after == before
+
+
+def test_a_folder_of_other_results_is_refused_and_replaced_where_it_is_asked_for(
+    photographs, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(photographs.parent)
+    out, words = tmp_path / "out", [photographs.name, "--text", "gold", *SMALL]
+    run(*words, "--text", "silver", "--out", out)
+    made = json.loads((out / "report.json").read_text())["style"]
+    (out / "01-gold" / "retouched.psd").write_text("mine")
+    with monkeypatch.context() as patched:
+        patched.setattr("anystyle.pipeline.stylize.load_model", lambda *_, **__: pytest.fail("the work began"))
+        refused = fails(capsys, *words, "--out", out)
+    assert f"{out} holds results of another run; --overwrite" in refused
+    assert json.loads((out / "report.json").read_text())["style"] == made
+    run(*words, "--out", out, "--overwrite")
+    assert json.loads((out / "report.json").read_text())["style"] == "“gold”"
+    assert (out / "01-gold" / "retouched.psd").is_file() and not (out / "02-silver").exists()
+    run(*words, "--out", out)  # the same again
+    run("--again", out / "report.json", "--out", out)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / photographs.name).symlink_to(photographs)
+    assert "holds results of another run" in fails(capsys, *words, "--out", out)  # photographs of another folder
+    assert "holds results of another run" in fails(capsys, "--again", out / "report.json", "seed=1", "--out", out)
+
+
+def test_a_second_run_into_a_folder_is_told_before_its_work(photographs, tmp_path, capsys):
+    out = tmp_path / "out"
+    with folder_lock(out, "taken"):
+        line = fails(capsys, photographs, "--text", "gold", "--out", out, "weights.branch=absent.safetensors", *SMALL)
+    assert f"another run writes its results to {out}; wait for its end" in line
+    assert not out.exists()
 
 
 def test_a_backbone_from_a_folder_outside_the_project_stylizes(photographs, tmp_path, monkeypatch):

@@ -203,3 +203,12 @@ def test_a_truncated_video_is_refused(tmp_path, name, options, words):
     with pytest.raises(ValueError, match=words) as caught:
         read_frames(path, 4)
     assert "\n" not in str(caught.value)
+
+
+def test_photographs_of_which_little_is_shown_are_named(tmp_path, caplog):
+    for name, size in (("a", (80, 60)), ("b", (80, 60)), ("c", (60, 80)), ("d", (78, 60))):
+        Image.new("RGB", size).save(tmp_path / f"{name}.png")
+    read_views([tmp_path], short_side=28, multiple=14, max_views=9)
+    (line,) = caplog.messages
+    assert "1 of 4 photographs have another aspect than most" in line
+    assert line.endswith("their middles are used, 50% of them: c")

@@ -1,11 +1,18 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
+import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageDraw
 
-from anystyle.data.images import image_size, open_image
+from anystyle import load
+from anystyle.data.images import image_size, open_image, read_image
+from anystyle.errors import UserError
+from anystyle.examples import resolved
 from anystyle.io.images import MAX_PIXELS
+from anystyle.io.sheet import to_pil
 from anystyle_study.pictures import read_picture
 
 
@@ -106,3 +113,35 @@ def test_a_damaged_file_reads_or_is_refused_in_one_line_that_names_it(tmp_path, 
     else:
         assert picture.mode == "RGB"
         assert picture.width * picture.height <= MAX_PIXELS
+
+
+def test_the_transparency_of_a_painting_is_a_mask(tmp_path):
+    """A transparent border, whatever its hidden colours, changes nothing; and all that is seen was painted."""
+    painting = Image.effect_mandelbrot((90, 70), (-2, -1, 1, 1), 50).convert("RGB")
+    framed = Image.effect_noise((140, 110), 99).convert("RGBA")
+    framed.putalpha(0)
+    framed.paste(painting, (20, 30))
+    for source in (framed, tmp_path / "framed.png"):
+        framed.save(tmp_path / "framed.png")
+        assert torch.equal(read_image(source, masked=True), read_image(painting))
+    two = Image.new("RGBA", (60, 60), (255, 255, 255, 0))  # hidden white
+    ImageDraw.Draw(two).ellipse((10, 5, 50, 55), fill=(200, 30, 20, 255))
+    ImageDraw.Draw(two).rectangle((29, 20, 31, 40), fill=(10, 40, 160, 200))
+    seen = {tuple(pixel) for pixel in np.asarray(to_pil(read_image(two, masked=True))).reshape(-1, 3).tolist()}
+    assert seen == {(200, 30, 20), (10, 40, 160)}
+    with pytest.raises(UserError, match="transparent everywhere"):
+        read_image(Image.new("RGBA", (8, 8)), masked=True)
+
+
+def test_a_painting_that_is_cut_out_is_nearer_to_itself_than_on_white():
+    encoder = load().style_encoder
+    for name in ("starry_night", "scream"):
+        whole = Image.open(resolved(Path(f"example:{name}"))).convert("RGB").resize((256, 224))
+        mask = Image.new("L", whole.size, 0)
+        ImageDraw.Draw(mask).ellipse((0, 0, 255, 223), fill=255)
+        cut = whole.copy()
+        cut.putalpha(mask)
+        images = [read_image(cut, masked=True), read_image(cut), read_image(whole)]
+        with torch.no_grad():
+            masked, white, original = (encoder.embed_images(image[None])[0] for image in images)
+        assert (masked - original).norm() < 0.3 * (white - original).norm(), name

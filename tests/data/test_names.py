@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from anystyle.data.names import differences, matched, names_below, short_names
+from anystyle.data.names import differences, file_name, matched, names_below, short_names
 
 RIG = ["cam0/1.png", "cam1/1.png"]
 
@@ -69,3 +69,22 @@ def test_short_names_have_as_few_folders_as_tell_them_apart():
     assert short_names([Path("cam0/1"), Path("cam1/2"), Path("cam1/2")]) == ["1", "2", "2_2"]
     assert names_below([Path("r/cam0/1.png"), Path("r/cam1/2.png")]) == ["cam0/1.png", "cam1/2.png"]
     assert names_below([Path("r/1.png")]) == ["1.png"] and names_below([]) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("100_7103", "100_7103"),
+        ("IMG 0 (1)", "IMG 0 (1)"),
+        ("Schloß Ähnlich", "Schloß Ähnlich"),
+        ("照片1", "照片1"),
+        ("a/b\\c:d*?", "a-b-c-d-"),
+        ("..", "view"),
+        ("e\u0301", "\u00e9"),
+        ("照" * 100, "照" * 66),
+    ],
+)
+def test_a_file_keeps_the_name_of_its_photograph(name, kept, tmp_path):
+    assert file_name(name) == kept
+    (tmp_path / f"{kept}.png").touch()
+    assert [path.stem for path in tmp_path.iterdir()] == [kept]

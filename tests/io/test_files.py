@@ -8,7 +8,7 @@ import pytest
 
 from anystyle.cli.run import run
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_directory, atomic_path
+from anystyle.io.atomic import atomic_directory, atomic_path, write_json
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -41,6 +41,37 @@ def test_what_stays_of_an_earlier_run_is_told(tmp_path, caplog):
             for name in names:
                 (temporary / name).touch()
     assert caplog.messages == [f"{tmp_path} also holds 01-wave of an earlier run"]
+
+
+def files_in(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def write(target, *names, **options):
+    with atomic_directory(target, **options) as temporary:
+        for name in names:
+            (temporary / name).parent.mkdir(exist_ok=True)
+            (temporary / name).touch()
+
+
+def test_an_earlier_run_is_replaced_and_files_of_people_stay(tmp_path):
+    write(tmp_path, "renders/1.png", "renders/2.png", "01-wave/scene.ply", "02-ink/scene.ply", "report.json")
+    mine = [".anystyle", "01-wave/edited.psd", "notes.txt", "renders/cut.png"]
+    for name in mine[1:]:
+        (tmp_path / name).touch()
+    write(tmp_path, "renders/1.png", "report.json", overwrite=True)
+    assert files_in(tmp_path) == sorted([*mine, "renders/1.png", "report.json"])
+    assert not (tmp_path / "02-ink").exists()
+    with pytest.raises(UserError, match=r"cut\.png is there already and was not made by anystyle"):
+        write(tmp_path, "renders/cut.png", overwrite=True)
+    assert files_in(tmp_path) == sorted([*mine, "renders/1.png", "report.json"])
+
+
+def test_a_list_of_folders_by_an_earlier_version_is_understood(tmp_path):
+    write(tmp_path, "renders/1.png", "renders/2.png", "report.json")
+    write_json(tmp_path / ".anystyle", ["renders", "report.json"])
+    write(tmp_path, "renders/1.png")
+    assert files_in(tmp_path) == [".anystyle", "renders/1.png", "report.json"]
 
 
 def test_what_this_program_did_not_make_is_never_replaced(tmp_path):

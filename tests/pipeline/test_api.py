@@ -10,13 +10,13 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
+from anystyle import Controls, ExportOptions, Mixture, Named, PoseOptions, Request, ViewOptions
 from anystyle.commands import stylize
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import read_views
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import slug
+from anystyle.pipeline.styles import embed_styles, slug
 from anystyle.types import Gaussians, Style
 
 VIEWS = ViewOptions(short_side=56, take=3)
@@ -126,7 +126,7 @@ def test_views_that_were_read_already_keep_their_known_cameras(stylizer):
     targets = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("target")).encoded
     known = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("known")).encoded
     assert predicted.encoded.targets is None and predicted.encoded.scene_from_known is None
-    assert targets.targets is not None and targets.targets[0] == ("view-00", "view-01", "view-02")
+    assert targets.targets is not None and targets.targets[0] == ("view_00", "view_01", "view_02")
     assert torch.equal(targets.cameras.world_from_camera, predicted.encoded.cameras.world_from_camera)
     assert known.scene_from_known is not None
     expected = known.scene_from_known.poses(views.cameras.world_from_camera)
@@ -158,6 +158,23 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(photographs, stylize
 
 
 def test_names_are_plain_and_bounded():
-    assert slug("Étude in Blau/Weiß\n../../etc") == "etude-in-blau-wei-etc"
+    assert slug("Étude in Blau/Weiß\n../../etc") == "étude-in-blau-weiß-etc"
+    for title in ("梵高 的 星空", "звёздная ночь", "ليلة النجوم", "तारों भरी रात"):
+        assert slug(title) == title.replace(" ", "-")[: len(slug(title))] and len(slug(title).encode()) <= 40
+    assert slug("🌊") == "style" and slug("🌊 Welle") == "welle"
     assert slug("…") == "style"
     assert len(slug("word " * 100)) <= 40
+
+
+def test_a_style_has_the_name_that_it_is_given_else_the_paintings_title(stylizer, tmp_path):
+    Image.new("RGB", (40, 30), (200, 30, 30)).save(tmp_path / "45.jpg")
+    styles = [
+        Named(tmp_path / "45.jpg", "Blue  Horses"),
+        Path("example:wave"),
+        tmp_path / "45.jpg",
+        Named("ink", "Tinte"),
+    ]
+    embedded = embed_styles(styles, stylizer)
+    assert [style.title for style in embedded] == ["Blue Horses", "The Great Wave off Kanagawa", "45", "Tinte"]
+    assert [style.name for style in embedded] == ["blue-horses", "the-great-wave-off-kanagawa", "45", "tinte"]
+    assert torch.equal(embedded[0].embedding.vector, embedded[2].embedding.vector)

@@ -20,6 +20,8 @@ ARGS = [
     ["photos/", "--text", "dots@like:0,0,1,0.5,0.1@color", "--image", "x.png@sphere:0,0,1,2"],
     ["scenes=procedural", "scene=2", "--text", "ink", "--export", "html,spz", "--no-provenance"],
     ["./-photos", "./a=b", "--text", "ink"],
+    ["photos/", "--image", "45.jpg", "--name", "Blue horses", "--text", "ink", "--image", "b.png", "--name", "夜"],
+    ["photos/", "--image", "45.jpg@sphere:0,0,1,2", "--name", "Sea", "--text", "gold@color", "--name", "Gold"],
 ]
 
 
@@ -67,6 +69,8 @@ def test_what_has_no_command_line_is_told(request_):
         (["--text", "ink", "-m"], "-m is a flag of Hydra"),
         (["--again", "missing.json"], "missing.json"),
         (["--text", "  "], "--text is empty"),
+        (["--name", "Sea", "--text", "a"], "--name Sea follows the --text or --image"),
+        (["--text", "a", "--name", "Sea", "--name", "Sky"], "--name Sky follows"),
         (["--text", "x" * 10000], "has 10000 characters"),
         (["--text", "a", "--mix", "0.5"], "exactly two styles"),
         (["--text", "a", "--text", "b", "--mix", "1.5"], "between 0 and 1, not 1.5"),

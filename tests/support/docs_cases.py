@@ -98,7 +98,7 @@ ENDS = {
 TELLS = {
     r"anystyle plugins check ": "promises kept",
     r"anystyle stylize placement=sparse placement.step=3 --cfg job": "_target_: sparse.Sparse\nstep: 3",
-    r"anystyle stylize (photos/|example:\w+) (?!.*(=any|weights|html))": "look at out/sheet.png",
+    r"anystyle stylize (photos/|example:\w+) (?!.*(=any|weights|html))": "/sheet.png",
     r"anystyle stylize photos/ .*html": "look at out/scene.html",
     r"anystyle train (?!.*(-m|--cfg|--info|fast_dev|smoke|paper))": "steps done; ",
 }

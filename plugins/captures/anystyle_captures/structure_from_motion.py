@@ -13,11 +13,12 @@ import torch
 from PIL import Image
 
 from anystyle.contracts import PosedViews, PoseEstimator, Verdict
-from anystyle.data.folder import as_views, common_size, cover, require_views
+from anystyle.data.folder import as_views, common_size, cover, require_views, tell_of_cut
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
 from anystyle.types import Cameras, OnProgress, Original, no_progress
 from anystyle_captures.cache import cached, key_of
+from anystyle_captures.frames import shared_frame
 from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Photograph, SearchOptions, SimpleRadial, SparseModel
 from anystyle_captures.sfm.trust import judge
 
@@ -48,6 +49,12 @@ class StructureFromMotion(PoseEstimator):
         on_progress: OnProgress,
     ) -> PosedViews | Verdict:
         """Find cameras in the frame of the most central one, whose median point lies at depth 1."""
+        if frame := shared_frame([original.picture for original in originals]):
+            logger.warning(
+                "all photographs have the same frame (%s), as screenshots of a window and films with bars have; it "
+                "becomes part of the scene unless it is cut off",
+                ", ".join(f"{side} {share:.1%}" for side, share in frame.items()),
+            )
         photographs = [
             replace(
                 Photograph.from_exif(original.name, np.array(original.picture.convert("RGB")), original.exif),
@@ -81,13 +88,15 @@ class StructureFromMotion(PoseEstimator):
             scales = [source.size[1] / photograph.size[1], source.size[0] / photograph.size[0], 1.0]
             matrix = lens.pinhole().intrinsics * np.array(scales)[:, None]
             intrinsics.append(source.view_intrinsics(torch.from_numpy(matrix)))
+        sources = tuple(source for _, source in pictures)
+        tell_of_cut(sources)
         scene_from_world = _central_frame(model, registered)
         poses = scene_from_world.poses(torch.from_numpy(model.world_from_camera[registered]))
         cameras = Cameras(poses.float()[None], torch.stack(intrinsics).float()[None], size)
         points = scene_from_world.points(torch.from_numpy(model.points)).float()
         return PosedViews(
             as_views(pictures, cameras),
-            tuple(source for _, source in pictures),
+            sources,
             tuple(points[torch.from_numpy(model.seen[:, view])] for view in registered),
             result.verdict,
             result.cached,

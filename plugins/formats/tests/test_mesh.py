@@ -20,7 +20,7 @@ from anystyle.pipeline.export import export_styles
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_formats.mesh.depth import render_depth
-from anystyle_formats.mesh.fusion import fused
+from anystyle_formats.mesh.fusion import Mesh, coverage, fused, pieces
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh, which opens OBJ files, is not installed")
 pytest.importorskip("skimage", reason="the extra `mesh` is not installed")
@@ -72,6 +72,34 @@ def test_a_sphere_comes_back_within_a_voxel():
     assert surface.area == pytest.approx(4 * math.pi * RADIUS**2, rel=0.15)
     error = np.abs(mesh.colors - (0.5 + 0.4 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)))
     assert error.mean() < 0.03
+
+
+def part_of(mesh, kept):
+    """The faces of a mesh whose middle is where ``kept`` says, and their vertices."""
+    used, faces = np.unique(mesh.faces[kept(mesh.vertices[mesh.faces].mean(1))], return_inverse=True)
+    return Mesh(mesh.vertices[used], faces.reshape(-1, 3), mesh.colors[used])
+
+
+def test_a_mesh_with_holes_is_measured_and_refused_or_told_of(tmp_path, monkeypatch, caplog):
+    views = render_depth(sphere(), around(), build(Renderer, "auto"))
+    whole = fused(views, resolution=48)
+    half = part_of(whole, lambda middle: middle[:, 1] > 0)
+    assert coverage(whole, views) > 0.98 and len(pieces(whole)) == 1
+    assert coverage(half, views) == pytest.approx(0.55, abs=0.05)  # the half, and what is near its edge
+    scene = StyledScene((("x", sphere()),), around(), tuple("abcdefghijklmn"))
+    bowl = part_of(whole, lambda middle: middle[:, 1] > -0.2)
+    monkeypatch.setattr("anystyle_formats.mesh.obj.fused", lambda views: bowl)
+    export_styles(scene, tmp_path / "bowl.obj", "obj")
+    assert "of the surfaces that the cameras see, in pieces: 1; the rest are holes" in caplog.text
+    for kept, told in (
+        (lambda middle: (np.abs(middle) > 0.2).all(1), r"in pieces: 8, the largest with 1\d% of the faces"),
+        (lambda middle: middle[:, 1] > 0.9 * RADIUS, r"the mesh has \d% of the surfaces .* 10% and 50% are needed"),
+    ):
+        part = part_of(whole, kept)
+        monkeypatch.setattr("anystyle_formats.mesh.obj.fused", lambda views, part=part: part)
+        with pytest.raises(UserError, match=told):
+            export_styles(scene, tmp_path / "part.obj", "obj")
+        assert not (tmp_path / "part.obj").exists()
 
 
 def test_what_cannot_be_meshed_says_so(tmp_path):

@@ -9,7 +9,7 @@ from anystyle.errors import UserError, unknown
 from anystyle.examples import PREFIX, examples, resolved
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.request import Request, parser
-from anystyle.pipeline.styles import check_text
+from anystyle.pipeline.styles import Named, check_text
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import choices
 from anystyle_start.library import Kind, Settings
@@ -25,7 +25,7 @@ def command_words(settings: Settings, kind: Kind | None, inputs: str, pictures: 
     for text in settings.texts:
         check_text(text, "the style in words")
     further = _further(settings.more)
-    styles = (*settings.texts, *(Path(image_word(pictures, name)) for name in settings.images))
+    styles = (*settings.texts, *(_picture(image_word(pictures, name)) for name in settings.images))
     controls = Controls(settings.strength, settings.preserve_color, settings.scale)
     mix = [] if settings.mix is None else ["--mix", f"{settings.mix:g}"]
     given = {word.lstrip("+~").partition("=")[0] for word in further if is_override(word)}
@@ -67,6 +67,12 @@ def image_word(pictures: Path, name: str) -> str:
     if path is None:
         raise UserError(f"there is no picture {name[:80]!r} any more; add it again")
     return str(path)
+
+
+def _picture(word: str) -> Path | Named:
+    """An uploaded picture under the name that it had, without the hash that is stored behind it."""
+    file = Path(word)
+    return file if word.startswith(PREFIX) else Named(file, file.stem.rpartition("-")[0] or file.stem)
 
 
 def _further(text: str) -> list[str]:

@@ -63,7 +63,7 @@ def store_upload(folder: Path, name: str, content: bytes) -> Path:
     if len(content) > MAX_UPLOAD:
         raise UserError(f"an image of {len(content):,} bytes; at most {MAX_UPLOAD:,} are accepted")
     stem = "".join(letter if letter.isalnum() else "-" for letter in Path(name).stem)[:40] or "image"
-    image = open_image(content, f"the image {stem}", longest=MAX_SIDE)
+    image = open_image(content, f"the image {stem}", longest=MAX_SIDE, masked=True)
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / f"{stem}-{hashlib.sha256(content).hexdigest()[:8]}.png"
     image.save(target)

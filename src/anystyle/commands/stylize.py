@@ -42,7 +42,7 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
 
     stages = Stages(report)
     try:
-        results = stylize(request, out=target, stages=stages)
+        results = stylize(request, out=target, overwrite=arguments.overwrite, stages=stages)
     finally:
         thumbnail.unlink(missing_ok=True)
     scenes = f"{len(results)} stylized scene{'s' if len(results) > 1 else ''}"

@@ -28,6 +28,9 @@ from anystyle.types import Cameras, Original, SourceImage, Views
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
 
+SHOWN = 0.75
+"""A smaller share of a photograph in its view is told of."""
+
 OTHER = frozenset({"depth", "depths", "mask", "masks", "normals", "thumbnails"})
 """Folders beside photographs whose images are not photographs."""
 
@@ -64,7 +67,9 @@ def read_views(
         return read_picture(shot.path, name, size) if shot.frame is None else cover(name, shot.frame, shot.size, size)
 
     pictures = _each(shots, problems, covered)
-    return as_views(pictures), [source for _, source in pictures]
+    sources = [source for _, source in pictures]
+    tell_of_cut(sources)
+    return as_views(pictures), sources
 
 
 def require_views(count: int, size: tuple[int, int]) -> None:
@@ -80,6 +85,25 @@ def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Camer
     """Pictures of one size, with the sources that name them, as views of one scene."""
     stacked = torch.stack([images.to_tensor(picture) for picture, _ in pictures])[None]
     return Views(stacked, cameras, names=tuple(source.name for _, source in pictures))
+
+
+def tell_of_cut(sources: Sequence[SourceImage]) -> None:
+    """Log a warning that names photographs of which less than :data:`SHOWN` is in their view."""
+    shown = {source.name: _shown(source) for source in sources}
+    if cut := [name for name, share in shown.items() if share < SHOWN]:
+        _log.warning(
+            "%d of %d photographs have another aspect than most, as upright ones among wide ones; their middles are "
+            "used, %.0f%% of them: %s",
+            len(cut),
+            len(shown),
+            100 * min(shown.values()),
+            images.listing(cut),
+        )
+
+
+def _shown(source: SourceImage) -> float:
+    left, top, right, bottom = source.box
+    return (right - left) * (bottom - top) / (source.size[0] * source.size[1])
 
 
 def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:

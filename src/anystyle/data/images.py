@@ -11,9 +11,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import ExifTags, Image, ImageCms, ImageOps
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from anystyle.errors import one_line
+from anystyle.errors import UserError, one_line
 from anystyle.examples import resolved
 from anystyle.io.images import Picture, opened, require_pixels, rounded_to_8_bits
 
@@ -39,7 +40,7 @@ def read_exif(path: Path) -> Image.Exif:
         return image.getexif()
 
 
-def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image.Image:
+def open_image(source: Picture, name: str = "", *, longest: int = 4096, masked: bool = False) -> Image.Image:
     """Read an image as upright 8-bit sRGB: grey, 16-bit, CMYK, palette and transparent ones too.
 
     What is transparent shows white; colours of another profile that the file holds are converted. The size is checked
@@ -49,9 +50,12 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
         source: A file that Pillow opens, or the bytes of one.
         name: What to call bytes in messages.
         longest: Images with a longer side are reduced to no less than this.
+        masked: Transparency is a mask, and not white: the image is cropped to what is opaque, which is mirrored at its
+            edges into what is left of the transparent pixels. So a painting that is cut out is looked at.
     """
     with opened(source, name) as image:
-        return _to_rgb(_to_srgb(_upright(image, source, longest)))
+        upright = _to_srgb(_upright(image, source, longest))
+        return _to_rgb(_opaque(upright) if masked else upright)
 
 
 def open_alpha(source: Picture, name: str = "", *, longest: int = 4096) -> Image.Image | None:
@@ -74,7 +78,7 @@ def _has_alpha(image: Image.Image) -> bool:
     return image.mode in ("RGBA", "LA", "PA") or ("transparency" in image.info and image.mode in ("1", "L", "RGB", "P"))
 
 
-def read_image(image: str | Path | Image.Image, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
+def read_image(image: str | Path | Image.Image, *, longest: int = 1024, masked: bool = False) -> Float[Tensor, "3 H W"]:
     """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest`` pixels.
 
     It is a file, ``example:NAME`` or one that Pillow has opened; :func:`open_image` says how each kind is read.
@@ -84,9 +88,10 @@ def read_image(image: str | Path | Image.Image, *, longest: int = 1024) -> Float
         >>> scene = stylizer.encode(anystyle.types.Views(images[None]))
     """
     if isinstance(image, Image.Image):
-        image = _to_rgb(_to_srgb(ImageOps.exif_transpose(image)))
+        upright = _to_srgb(ImageOps.exif_transpose(image))
+        image = _to_rgb(_opaque(upright) if masked else upright)
     else:
-        image = open_image(resolved(Path(image)), longest=longest)
+        image = open_image(resolved(Path(image)), longest=longest, masked=masked)
     image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     return to_tensor(image)
 
@@ -131,6 +136,24 @@ def _to_rgb(image: Image.Image) -> Image.Image:
         white = Image.new("RGBA", image.size, "white")
         return Image.alpha_composite(white, image).convert("RGB")
     return image.convert("RGB")
+
+
+def _opaque(image: Image.Image) -> Image.Image:
+    """What is at least half opaque of an image, and its mirror image in the rest of its bounding box."""
+    if not _has_alpha(image):
+        return image
+    pixels = np.asarray(image.convert("RGBA"))
+    rows, columns = np.nonzero(pixels[..., 3] >= 128)
+    if not len(rows):
+        raise UserError("a picture is transparent everywhere; give one with something in it")
+    pixels = pixels[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    opaque = pixels[..., 3] >= 128
+    nearest = distance_transform_edt(~opaque, return_distances=False, return_indices=True)
+    assert isinstance(nearest, np.ndarray)
+    here = np.indices(opaque.shape)
+    mirrored = np.clip(2 * nearest - here, 0, np.array(opaque.shape)[:, None, None] - 1)
+    rows, columns = np.where(opaque[tuple(mirrored)], mirrored, nearest)
+    return Image.fromarray(pixels[rows, columns, :3])
 
 
 def readable(paths: Sequence[Path]) -> list[Path]:

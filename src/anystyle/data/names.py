@@ -27,6 +27,12 @@ def distinct(names: Sequence[str], separator: str = "_") -> list[str]:
     return list(taken.values())
 
 
+def file_name(name: str) -> str:
+    """A name as that of a file, without suffix, on any system: what separates folders or is reserved is a hyphen."""
+    letters = re.sub(r'[<>:"/\\|?*\x00-\x1f\x7f]+', "-", unicodedata.normalize("NFC", name)).strip(". ")
+    return letters.encode()[:200].decode(errors="ignore").rstrip(". ") or "view"
+
+
 def short_names(paths: Sequence[PurePath]) -> list[str]:
     """The last parts of paths, as few as tell them apart, as distinct names: ``0001``, or ``cam0_0001``."""
     different = len({str(path).casefold() for path in paths})

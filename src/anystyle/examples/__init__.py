@@ -5,6 +5,7 @@ from pathlib import Path
 
 from anystyle.errors import UserError, unknown
 from anystyle.io.documents import read_json
+from anystyle.paths import text_of
 
 PREFIX = "example:"
 FOLDER = Path(__file__).parent
@@ -44,3 +45,10 @@ def resolved(path: Path) -> Path:
     if name not in known:
         raise UserError(unknown("example", name, known))
     return FOLDER / known[name].file
+
+
+def title_of(path: Path) -> str:
+    """What an example is called; of any other file the name without suffix."""
+    if str(path).startswith(PREFIX):
+        return examples()[str(path).removeprefix(PREFIX)].title
+    return text_of(path.stem)

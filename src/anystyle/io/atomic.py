@@ -8,7 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from filelock import SoftFileLease, Timeout
 
@@ -70,36 +70,45 @@ def write_json(path: str | Path, value: object) -> None:
 
 
 @contextmanager
-def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iterator[Path]:
-    """Yield a temporary directory whose entries move into ``target`` when the block succeeds.
+def atomic_directory(target: str | Path, expected: Collection[str] = (), *, overwrite: bool = False) -> Iterator[Path]:
+    """Yield a temporary directory whose files move into ``target`` when the block succeeds.
 
-    Entries of the same names from an earlier call are replaced, others stay, and a warning names them; a failing block
-    leaves nothing. A UserError is raised where ``target`` is a file, or holds an entry of that name which this program
-    did not make; for the ``expected`` names before the block begins.
+    Entries of the same names from an earlier call are replaced, and with ``overwrite`` all of them; others stay, and a
+    warning names them. What this program did not make stays in either case. A failing block leaves nothing. A UserError
+    is raised where ``target`` is a file, or holds an entry of that name which this program did not make; for the
+    ``expected`` names before the block begins.
     """
     target = Path(target)
-    if target.exists() and not target.is_dir():
-        raise UserError(f"{target} is a file; results need a directory")
     with _made_folder(target):
-        earlier = frozenset(kept_json(target / MADE, list[str]) or ())
+        earlier = made_in(target)
         _refuse_foreign(target, expected, earlier)
         temporary = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=target))
         try:
             yield temporary
-            names = sorted(entry.name for entry in temporary.iterdir())
-            _refuse_foreign(target, names, earlier)
-            for path in temporary.rglob("*"):
-                if path.is_file():
-                    _sync(path)
-            write_json(target / MADE, sorted({*earlier, *names}))
-            for name in names:
-                if (target / name).is_dir() and not (target / name).is_symlink():
-                    shutil.rmtree(target / name)
-                (temporary / name).replace(target / name)
-            if left := sorted(name for name in earlier.difference(names) if (target / name).exists()):
+            content = {path.relative_to(temporary).as_posix(): path for path in sorted(temporary.rglob("*"))}
+            files = {name: path for name, path in content.items() if not path.is_dir()}
+            _refuse_foreign(target, [*files, *(path.name for path in temporary.iterdir())], earlier)
+            for path in files.values():
+                _sync(path)
+            write_json(target / MADE, sorted({*earlier, *files}))
+            tops = {_top(name) for name in files}
+            stale = {name for name in earlier.difference(files) if overwrite or _top(name) in tops}
+            _delete(target, stale)
+            for name, path in content.items():
+                if name in files:
+                    path.replace(target / name)
+                else:
+                    (target / name).mkdir(exist_ok=True)
+            if left := sorted({_top(name) for name in earlier.difference(files, stale)}):
                 _log.warning("%s also holds %s of an earlier run", target, ", ".join(left))
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def made_in(folder: Path) -> frozenset[str]:
+    """The files in a folder that :func:`atomic_directory` made there, as far as they are still there."""
+    names = kept_json(folder / MADE, list[str]) or ()
+    return frozenset(name for name in names if os.path.lexists(folder / name))
 
 
 @contextmanager
@@ -159,6 +168,8 @@ def _silence(folder: Path) -> float:
 @contextmanager
 def _made_folder(folder: Path) -> Iterator[None]:
     """Create a folder and its parents; those that are empty at the end are deleted again."""
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{folder} is a file; results need a directory")
     created = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -170,9 +181,33 @@ def _made_folder(folder: Path) -> Iterator[None]:
 
 
 def _refuse_foreign(target: Path, names: Collection[str], earlier: Collection[str]) -> None:
+    known = {part for name in earlier for part in _parts(name)}
     for name in names:
-        if name not in earlier and os.path.lexists(target / name):
+        # Once the list had the names of folders and not of the files in them.
+        if name not in known and _parts(name).isdisjoint(earlier) and os.path.lexists(target / name):
             raise UserError(f"{target / name} is there already and was not made by anystyle; choose another --out")
+
+
+def _delete(target: Path, names: Collection[str]) -> None:
+    """Delete files, and the folders that are empty then."""
+    for path in (target / name for name in names):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+    for folder in sorted({part for name in names for part in _parts(name)}, reverse=True):
+        with suppress(OSError):
+            (target / folder).rmdir()
+
+
+def _parts(name: str) -> set[str]:
+    """A path and the folders that it is in."""
+    path = PurePosixPath(name)
+    return {str(part) for part in (path, *path.parents)} - {"."}
+
+
+def _top(name: str) -> str:
+    return name.partition("/")[0]
 
 
 def _sync(path: Path) -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image, ImageDraw, ImageFont, ImageOps
+from PIL import Image, ImageDraw, ImageOps
 from torch import Tensor
 
+from anystyle.io.fonts import lettered
 from anystyle.io.images import check_pillow
 
 INK = (28, 28, 30)
@@ -61,17 +62,18 @@ def contact_sheet(
     draw = ImageDraw.Draw(sheet)
     for column, title in enumerate(titles):
         at = (left + column * (width + gap) + width / 2, top - 6)
-        draw.multiline_text(at, title, fill=INK, font_size=15, anchor="md", align="center")
+        draw.multiline_text(at, title, fill=INK, font=lettered(title, 15)[1], anchor="md", align="center")
     for index, row in enumerate(rows):
         y = top + index * (height + gap)
         if index < len(row_titles):
             text = wrap(row_titles[index], 15, 120, max_lines=4)
-            draw.multiline_text((left - 10, y + height / 2), text, fill=INK, font_size=15, anchor="rm", align="right")
+            at, font = (left - 10, y + height / 2), lettered(text, 15)[1]
+            draw.multiline_text(at, text, fill=INK, font=font, anchor="rm", align="right")
         for column, content in enumerate(row):
             _paste(sheet, draw, content, (left + column * (width + gap), y), cell)
     if footer:
         line = wrap(footer, 12, sheet.width - 2 * gap, max_lines=1)
-        draw.text((gap, sheet.height - gap), line, fill=FAINT, font_size=12, anchor="ld")
+        draw.text((gap, sheet.height - gap), line, fill=FAINT, font=lettered(line, 12)[1], anchor="ld")
     return sheet
 
 
@@ -105,8 +107,11 @@ def save_png(image: Image.Image, path: Path) -> None:
 
 
 def wrap(text: str, size: int, width: int, max_lines: int) -> str:
-    """Break text in a font of a size into lines no wider than ``width`` pixels; the rest becomes an ellipsis."""
-    font = ImageFont.load_default(size=size)
+    """Break text in a font of a size into lines no wider than ``width`` pixels; the rest becomes an ellipsis.
+
+    Letters that no font has are left out.
+    """
+    text, font = lettered(text, size)
     for letters in range(width // 3, 1, -1):
         lines = textwrap.wrap(text, letters, max_lines=max_lines, placeholder="…")
         if all(font.getlength(line) <= width for line in lines):
@@ -122,7 +127,8 @@ def _paste(
         draw.rounded_rectangle((x, y, x + width, y + height), radius=8, fill=CARD)
         words = wrap(f"“{content.text.strip()}”", 17, width - 28, max_lines=max(1, (height - 20) // 24))
         middle = (x + width / 2, y + height / 2)
-        draw.multiline_text(middle, words, fill=INK, font_size=17, anchor="mm", align="center", spacing=6)
+        font = lettered(words, 17)[1]
+        draw.multiline_text(middle, words, fill=INK, font=font, anchor="mm", align="center", spacing=6)
     elif content is not None:
         picture = ImageOps.contain(content.convert("RGB"), cell, Image.Resampling.LANCZOS)
         sheet.paste(picture, (x + (width - picture.width) // 2, y + (height - picture.height) // 2))

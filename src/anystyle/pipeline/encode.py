@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Adapter, Backbone
-from anystyle.data.names import distinct
+from anystyle.data.names import distinct, file_name
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity, similarity_of_cameras
 from anystyle.io import limits
@@ -25,7 +25,6 @@ from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.read import ReadViews
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import slug
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, SourceImage, Views
@@ -294,4 +293,4 @@ def with_cameras(groups: Sequence[Group], cameras: Cameras, adapter: Adapter) ->
 
 
 def _file_names(names: Sequence[str]) -> list[str]:
-    return distinct([slug(name, 80) for name in names], "-")
+    return distinct([file_name(name) for name in names], "-")

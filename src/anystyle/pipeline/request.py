@@ -1,13 +1,15 @@
 """What ``anystyle stylize`` is asked for, as one value: from the arguments of the command line, and back to them."""
 
 import argparse
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from anystyle.cli.arguments import is_override, new_parser, split
 from anystyle.cli.launch import checked_seed
@@ -18,7 +20,7 @@ from anystyle.pipeline.controls import FIELDS, Controls, Mask, combinations
 from anystyle.pipeline.export import film
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.read import Inputs, check_inputs, paths_of
-from anystyle.pipeline.styles import Mixture, Places, StyleInput, check_styles, check_text
+from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, check_styles, check_text
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose, options, override
 from anystyle.types import Style, Views
@@ -151,6 +153,16 @@ class Request:
         inputs = [f"./{path}" if path.startswith("-") or is_override(path) else path for path in self.inputs]
         return [*inputs, *_styles_as_args(self.styles), *_controls_as_args(self.controls), *self.overrides]
 
+    @property
+    def digest(self) -> str | None:
+        """By which the same request from the same folder is known again; ``None`` if something of it is in memory."""
+        try:
+            asked = [str(Path.cwd()), *replace(self, overrides=()).args()]
+        except UserError:
+            return None
+        config = OmegaConf.to_yaml(self.config, resolve=True, sort_keys=True)
+        return hashlib.sha256(json.dumps([*asked, config]).encode()).hexdigest()
+
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle stylize``; every other argument is a Hydra override."""
@@ -169,6 +181,8 @@ def parser() -> argparse.ArgumentParser:
         "STYLE@color+rotation one of some attributes of opacity, scale, rotation, color; several make one scene"
     )
     add("--image", **style, help=image)
+    name = "what the --text or --image before it is called in folders, on the sheet and in pages"
+    add("--name", action=_NameFlag, dest="styles", help=name)
     mix = "with exactly two styles: the point between them, 0 is the first and 1 the second; likewise"
     add("--mix", action="append", default=[], metavar="AMOUNT", help=mix)
     control = flags.add_argument_group("how a style is applied; several values make a strip").add_argument
@@ -191,6 +205,7 @@ def parser() -> argparse.ArgumentParser:
     add("--no-provenance", action="store_true", help="files say nothing of photographs, styles and networks")
     add("--again", metavar="REPORT", help="what a report.json was asked for; further arguments are added")
     add("--out", default="out", help="where the results go (default: %(default)s)")
+    add("--overwrite", action="store_true", help="replace the results of another run in --out")
     add("--open", action="store_true", help="look at them in the browser, where there is a display")
     return flags
 
@@ -219,13 +234,23 @@ class _StyleFlag(argparse.Action):
     """Collects texts and images in one list, so that styles have the order in which they are typed."""
 
     def __call__(self, parser: object, namespace: argparse.Namespace, values: Any, option_string: Any = None) -> None:
-        namespace.styles = [*namespace.styles, (Path if option_string == "--image" else str, values)]
+        namespace.styles = [*namespace.styles, (Path if option_string == "--image" else str, values, None)]
+
+
+class _NameFlag(argparse.Action):
+    """Names the style before it."""
+
+    def __call__(self, parser: object, namespace: argparse.Namespace, values: Any, option_string: Any = None) -> None:
+        if not namespace.styles or namespace.styles[-1][2] is not None:
+            raise UserError(f"--name {values} follows the --text or --image that it names")
+        *others, (kind, word, _) = namespace.styles
+        namespace.styles = [*others, (kind, word, values)]
 
 
 def _styles_of(arguments: argparse.Namespace) -> tuple[StyleInput, ...]:
     """The styles in the order of their flags, or their mixtures, or one :class:`Places` of all."""
-    given = [_by_place(word, kind) for kind, word in arguments.styles]
-    for kind, word in arguments.styles:
+    given = [_by_place(word, _named(kind, name)) for kind, word, name in arguments.styles]
+    for kind, word, _ in arguments.styles:
         if kind is str:
             check_text(word, "--text")
     amounts = _numbers("mix", arguments.mix)
@@ -241,6 +266,10 @@ def _styles_of(arguments: argparse.Namespace) -> tuple[StyleInput, ...]:
     return tuple(Mixture(styles[0], styles[1], amount) for amount in amounts) or styles
 
 
+def _named(kind: type[str | Path], name: str | None) -> Callable[[str], StyleInput]:
+    return kind if name is None else lambda word: Named(kind(word), name)
+
+
 def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput, Mask | Controls | None]:
     """A style, and the mask or the attributes behind its last ``@``, or both, if there are any."""
     style, at, place = word.rpartition("@")
@@ -248,8 +277,10 @@ def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput,
     named, folder = set(attributes) <= FIELDS.keys(), place.partition(",")[0]
     # A text may be longer than the name of a folder can be.
     known = named or place.startswith(("sphere:", "box:", "like:")) or (len(folder) < 256 and Path(folder).is_dir())
-    if not at or (kind is str and not known) or (kind is Path and Path(word).exists()):
-        return kind(word), None
+    whole = kind(word)
+    plain = whole.style if isinstance(whole, Named) else whole
+    if not at or (isinstance(plain, str) and not known) or (isinstance(plain, Path) and plain.exists()):
+        return whole, None
     inner, before = _by_place(style, kind)
     controls = before if isinstance(before, Controls) else Controls(mask=before)
     if named:
@@ -291,8 +322,11 @@ def _styles_as_args(styles: Sequence[StyleInput]) -> list[str]:
         match style:
             case Places(styles=parts):
                 for part, place in parts:
-                    *flag, word = _styles_as_args([part])
-                    words += [*flag, word + _place_as_text(place)]
+                    plain, name = (part.style, ["--name", part.name]) if isinstance(part, Named) else (part, [])
+                    *flag, word = _styles_as_args([plain])
+                    words += [*flag, word + _place_as_text(place), *name]
+            case Named(style=plain, name=name):
+                words += [*_styles_as_args([plain]), "--name", name]
             case str() | Path():
                 name, value = "--text" if isinstance(style, str) else "--image", str(style)
                 words += [f"{name}={value}"] if value.startswith("-") else [name, value]

@@ -179,6 +179,7 @@ class Results:
             "seed": request.seed,
             "config": without_folders(request.config),
             "request": recorded_args(request) if model.named else None,
+            "request_sha256": request.digest if model.named else None,
         }
         self.video = film(request.config.video, self._render_until_given_up)
         self.given_up = False
@@ -306,7 +307,7 @@ def _anonymous(
 
 def _technical(report: dict[str, Any]) -> dict[str, object]:
     """A report without names, hashes, texts and paths."""
-    left_out = ("inputs", "weights", "config", "provenance", "request")
+    left_out = ("inputs", "weights", "config", "provenance", "request", "request_sha256")
     reconstruction = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
     bound = {part: terms for part, terms in report["licenses"].items() if License.named(terms["license"]).binds}
     kept = {name: value for name, value in report.items() if name not in left_out}

@@ -33,6 +33,8 @@ from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
 from anystyle.vision import weights
 
 UNSTYLED = "unstyled"
+OWN = ".safetensors"
+"""The suffix of what :func:`save_gaussians` writes."""
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
@@ -140,9 +142,9 @@ def unstyled_of(scene: StyledScene) -> Gaussians:
 
 
 def is_scene_file(path: Path) -> bool:
-    """Whether a plugin of kind ``format`` has the file's suffix as its name, and it is not a film, which is views."""
+    """Whether its suffix is that of :func:`save_gaussians` or the name of a ``format`` but a film's, which is views."""
     suffix = path.suffix.lower()
-    return suffix[1:] in catalog().names("format") and suffix not in video.SUFFIXES
+    return suffix == OWN or (suffix[1:] in catalog().names("format") and suffix not in video.SUFFIXES)
 
 
 def read_saved(path: Path, up: str | None = None, *, activated: bool = False) -> StyledScene:
@@ -185,6 +187,15 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
 
     ``activated`` files hold lengths and opacities in [0, 1] where their format has logarithms and logits.
     """
+    if not path.exists():
+        raise UserError(f"there is no file or folder {path}")
+    if path.suffix.lower() == OWN and path.is_file():
+        gaussians, folder = read_gaussians(path), path.parent
+        if not (folder / "report.json").is_file():
+            return StyledScene(((path.stem, gaussians),), notes=(note("scene", [path]),), up=up or "opencv")
+        whole = read_unturned(folder, None)
+        title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
+        return replace(whole, styles=((title, gaussians),))
     if path.is_file() and is_scene_file(path):
         scene = build(Format, path.suffix[1:].lower(), activated=activated).read(path)
         notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")

@@ -1,7 +1,6 @@
 """Styles as inputs: texts, images, mixtures of two, and several by place."""
 
 import logging
-import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,9 +12,8 @@ from torch import Tensor
 
 from anystyle.data.images import image_size, read_image
 from anystyle.errors import UserError
-from anystyle.examples import resolved
+from anystyle.examples import resolved, title_of
 from anystyle.io.sheet import Cell, side_by_side, to_pil
-from anystyle.paths import text_of
 from anystyle.pipeline.controls import Controls, Mask, rescaled
 from anystyle.pipeline.provenance import note
 from anystyle.stylizer import Stylizer
@@ -54,8 +52,20 @@ class Places:
     styles: tuple[tuple["StyleInput", Mask | Controls | None], ...]
 
 
-StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places
-"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, or several by place."""
+@dataclass(frozen=True)
+class Named:
+    """A description or an image file under a name of its own, for folders, sheets and pages.
+
+    Example:
+        >>> named = Named(Path("IMG_0045.jpg"), "Grandmother's quilt")
+    """
+
+    style: str | Path
+    name: str
+
+
+StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places | Named
+"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, several by place or named."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +118,9 @@ def check_styles(styles: Sequence[StyleInput]) -> None:
             check_text(style)
         elif isinstance(style, Path):
             image_size(resolved(style))
+        elif isinstance(style, Named):
+            check_text(style.name, "the name of a style")
+            check_styles([style.style])
         elif isinstance(style, Mixture):
             check_styles([style.first, style.second])
         elif isinstance(style, Places):
@@ -130,6 +143,8 @@ def embed_styles(
                 places = [place if isinstance(place, Controls) else Controls(mask=place) for _, place in styles]
                 parts = zip(styles, places, strict=True)
                 result = placed([replace(embed(part, scale), controls=place) for (part, _), place in parts])
+            case Named(style=inner, name=name):
+                result = replace(embed(inner, scale), name=slug(name), title=" ".join(name.split()))
             case _:
                 result = _embed(style, stylizer, scale)
         return embedded.setdefault((id(style), scale), result)
@@ -155,7 +170,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), notes)
         case Path():
             file = resolved(style)
-            title, image, notes = text_of(file.stem), read_image(file)[None], (note("image", [file]),)
+            title, image, notes = title_of(style), read_image(file, masked=True)[None], (note("image", [file]),)
         case Tensor():
             title, image, notes = "image", style[None], (note("image"),)
         case Style(image=Tensor() as image, names=names):
@@ -210,7 +225,10 @@ def placed(parts: Sequence[EmbeddedStyle]) -> EmbeddedStyle:
 
 
 def slug(text: str, limit: int = 40) -> str:
-    """A text as part of a file name: lower-case ASCII words joined by hyphens."""
-    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
-    words = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
-    return words[:limit].rstrip("-") or "style"
+    """A text as part of a file name: lower-case words in letters of any script, joined by hyphens.
+
+    ``limit`` is in bytes of UTF-8; a text without letters and digits is ``style``.
+    """
+    plain = unicodedata.normalize("NFKC", text).lower()
+    words = "".join(letter if unicodedata.category(letter)[0] in "LMN" else " " for letter in plain).split()
+    return "-".join(words).encode()[:limit].decode(errors="ignore").rstrip("-") or "style"

@@ -1,17 +1,19 @@
 """``stylize``, for the command and the Python API: load, read, encode, restyle, save."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from anystyle.contracts import Method, Reconstruction
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_directory
+from anystyle.io.atomic import atomic_directory, folder_lock
+from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.encode import EncodedCapture, encode
 from anystyle.pipeline.load import LoadedModel, first_views, load_model
@@ -21,7 +23,7 @@ from anystyle.pipeline.read import Inputs, paths_of, read, saved_path
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.results import Results
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import Mixture, Places, StyleInput, embed_styles
+from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, embed_styles
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, Views
 
@@ -38,6 +40,7 @@ def stylize(
     method: str | Method | None = None,
     controls: Controls | Sequence[Controls] = Controls(),
     out: str | Path | None = None,
+    overwrite: bool = False,
     export: ExportOptions | None = None,
     video: Mapping[str, object] = MappingProxyType({}),
     seed: int | None = None,
@@ -50,7 +53,8 @@ def stylize(
             PLY file or a folder of results, which keeps its geometry. Or a :class:`~anystyle.Request`, which holds the
             other arguments; with it only parts that are in memory, ``out`` and ``stages`` are given.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
-            between two of these as :class:`Mixture`, several in one scene as :class:`Places`.
+            between two of these as :class:`Mixture`, several in one scene as :class:`Places`; texts and files under
+            another name as :class:`Named`.
         model: A preset of the group ``model`` (``None`` for the default), loaded onto a GPU where there is one; or a
             stylizer, such as :func:`anystyle.load` returns.
         views: How photographs are read, and how many are encoded together.
@@ -62,7 +66,9 @@ def stylize(
         method: How the scene takes a style: the name of a plugin or a preset, such as ``nnfm``, or an instance.
             ``None`` is the model's configuration, and the single pass for a stylizer.
         controls: How each style is applied; of several, each gives a result.
-        out: A folder to write all results to; without one each is written when it is saved.
+        out: A folder to write all results to; without one each is written when it is saved. One that holds results of
+            another request is refused, and so is one that another process is writing results to.
+        overwrite: Whether results of another request in ``out`` are deleted when the new ones are written.
         export: Which files a result has.
         video: Options of the film of each result, such as ``{"path": "orbit"}``: those of the format ``mp4``.
         seed: The seed of random numbers.
@@ -72,7 +78,8 @@ def stylize(
         One result per style and control, each computed when it is asked for.
 
     Raises:
-        UserError: An input or a style cannot be read, memory does not suffice, or a result is not finite.
+        UserError: An input or a style cannot be read, memory does not suffice, a result is not finite, or ``out`` is
+            not free.
         FileNotFoundError: A file of weights is missing.
 
     Example:
@@ -84,7 +91,7 @@ def stylize(
     else:
         request = Request.made(
             inputs,
-            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Places)) else styles,
+            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Named, Places)) else styles,
             [controls] if isinstance(controls, Controls) else controls,
             model=model if isinstance(model, str) else None,
             reconstruction=reconstruction if isinstance(reconstruction, str) else None,
@@ -96,8 +103,8 @@ def stylize(
     stages = stages or Stages()
     request.check()
     torch.manual_seed(request.seed)
-    folders = ("renders", "sparse")[: 1 + (request.export.colmap != "none")]  # refused where a capture's are in the way
-    with contextlib.nullcontext() if out is None else atomic_directory(out, folders) as folder:
+    again = None if in_memory else request.digest
+    with contextlib.nullcontext() if out is None else _results_folder(Path(out), request, overwrite, again) as folder:
         with stages("load", "the model"):
             loaded = load_model(request, **in_memory)
         with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
@@ -107,6 +114,29 @@ def stylize(
         if folder is not None:
             results.write(folder)
     return results
+
+
+@contextlib.contextmanager
+def _results_folder(out: Path, request: Request, overwrite: bool, again: str | None) -> Iterator[Path]:
+    """A temporary folder whose files move to ``out``, which is refused before the work begins if it is not free.
+
+    It is free for a request of the digest ``again`` whose results it holds: the same files are made again.
+    """
+    single = len(request.all_styles) * len(request.controls) == 1
+    names = ("renders", "scene.ply", *(("sparse",) if request.export.colmap != "none" else ())) if single else ()
+    busy = f"another run writes its results to {out}; wait for its end, or give another --out"
+    with (
+        folder_lock(out, busy) as check,
+        atomic_directory(out, ("report.json", "sheet.png", *names), overwrite=overwrite) as folder,
+    ):
+        report = kept_json(out / "report.json", dict[str, Any])
+        if report is not None and not overwrite and (again is None or report.get("request_sha256") != again):
+            raise UserError(
+                f"{out} holds results of another run; --overwrite (in Python overwrite=True) replaces them, another "
+                "--out keeps them"
+            )
+        yield folder
+        check()
 
 
 def encode_inputs(request: Request, model: LoadedModel, stages: Stages) -> EncodedCapture:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,9 @@ from yaml import YAMLError
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.registry.builtin import OPTIONS
-from anystyle.registry.catalog import catalog, kinds
+from anystyle.registry.catalog import PluginError, catalog, kinds
 from anystyle.registry.packages import groups, presets
-from anystyle.registry.schema import literal
+from anystyle.registry.schema import literal, node
 from anystyle.registry.source import register
 
 VERSION_BASE = "1.3"
@@ -138,6 +139,17 @@ def choices(group: str) -> list[str]:
     return sorted({*presets(group), *(catalog().names(group) if group in kinds() else ())})
 
 
+def _with_option(group: str, message: str) -> list[str]:
+    """The choices of a group that have the option of which Hydra says that it could not be overridden, or all."""
+    option = re.search(rf"'{group}\.(\w+)", message)
+    plugins = (catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ()))
+    having: list[str] = []
+    for plugin in plugins:
+        with suppress(PluginError):
+            having += [plugin.name] if option and option[1] in node(plugin) else []
+    return having or choices(group)
+
+
 def _message(error: BaseException) -> str:
     text = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
     return one_line(text).replace("is not in struct", "is unknown")
@@ -149,7 +161,7 @@ def _nearest(*errors: BaseException | None) -> str:
         if isinstance(error, OmegaConfBaseException) and isinstance(error.parent_node, DictConfig):
             keys = [str(key) for key in error.parent_node if key not in ("_target_", "hydra")]
             if error.key in groups():
-                return f"; choose one first: {error.key}={'|'.join(choices(str(error.key)))}"
+                return f"; choose one first: {error.key}={'|'.join(_with_option(str(error.key), str(errors[0])))}"
             if error.key is not None and error.key not in keys:
                 near = did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"

@@ -29,6 +29,8 @@ FEWEST, SMALLEST = 4, 0.01
 """Pieces with fewer faces, or fewer relative to the largest piece, are dropped."""
 FEWEST_VIEWS = 0.5
 """Where fewer views, in a neighbourhood of the blur, see a voxel, nothing is known of it."""
+NEAR = 3.0
+"""A vertex is near within so many edges: marching cubes makes about one in each voxel that the surface crosses."""
 MAX_POINTS, CHUNK = 1_000_000, 1 << 18
 """Points that say where a surface is, and voxels that are integrated at once."""
 _NOTHING = "the views agree on no surface; there is nothing to mesh"
@@ -40,6 +42,24 @@ class Mesh(NamedTuple):
     vertices: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "M 3"]
     colors: Float[np.ndarray, "N 3"]
+
+
+def coverage(mesh: Mesh, views: DepthViews) -> float:
+    """The share of the surfaces that the views show that the mesh has, in [0, 1], from every fourth pixel and row.
+
+    A pixel counts where a vertex is near the point that it shows: within :data:`NEAR` edges.
+    """
+    corners = mesh.vertices[mesh.faces]
+    edge = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
+    shown = views.points[:, ::4, ::4][views.depth[:, ::4, ::4] > 0].numpy()
+    distance, _ = KDTree(mesh.vertices).query(shown, distance_upper_bound=NEAR * edge)
+    return float(np.isfinite(distance).mean())
+
+
+def pieces(mesh: Mesh) -> Int[np.ndarray, " P"]:
+    """How many faces each connected piece has, the largest first."""
+    piece = _pieces(mesh.faces, len(mesh.vertices))
+    return np.sort(np.bincount(piece[mesh.faces[:, 0]]))[::-1]
 
 
 def fused(views: DepthViews, resolution: int = RESOLUTION) -> Mesh:
@@ -111,15 +131,20 @@ def _surface(distance: NDArray[np.float32], weight: NDArray[np.int16]) -> tuple[
     faces = faces[seen[faces].all(1)]
     if not len(faces):
         raise UserError(_NOTHING)
-    ends = np.repeat(faces[:, 0], 2), faces[:, 1:].ravel()
-    edges = coo_matrix((np.ones(len(ends[0])), ends), 2 * (len(vertices),))
-    _, piece = connected_components(edges, directed=False)
+    piece = _pieces(faces, len(vertices))
     sizes = np.bincount(piece[faces[:, 0]], minlength=piece.max() + 1)
     faces = faces[(sizes >= max(FEWEST, SMALLEST * sizes.max()))[piece[faces[:, 0]]]]
     if not len(faces):
         raise UserError("the views agree only on crumbs of a surface; there is nothing to mesh")
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used].astype(np.float64), faces.reshape(-1, 3)
+
+
+def _pieces(faces: Int[np.ndarray, "M 3"], count: int) -> NDArray[np.int32]:
+    """The number of the connected piece of each of ``count`` vertices."""
+    ends = np.repeat(faces[:, 0], 2), faces[:, 1:].ravel()
+    _, piece = connected_components(coo_matrix((np.ones(len(ends[0])), ends), (count, count)), directed=False)
+    return piece
 
 
 def _colors(views: DepthViews, vertices: Float[Tensor, "N 3"], reach: float) -> NDArray[np.float32]:

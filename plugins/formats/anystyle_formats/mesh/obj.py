@@ -1,5 +1,6 @@
 """Wavefront OBJ: a mesh with colours at its vertices, fused from what the scene's cameras see of it."""
 
+import logging
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,12 +13,19 @@ from anystyle.pipeline.load import default_device
 from anystyle.registry.build import build
 from anystyle.types import StyledScene
 from anystyle_formats.mesh.depth import DepthViews, render_depth
-from anystyle_formats.mesh.fusion import fused
+from anystyle_formats.mesh.fusion import coverage, fused, pieces
 
 MAX_VIEWS, LONG_SIDE = 64, 640
 """Cameras, evenly spaced of more, and the longer side in pixels, that depth is rendered for."""
 AGREEMENT = 0.2
 """The smallest part of the surfaces that other cameras have to see at the same depth."""
+
+COVERED, LARGEST = 0.1, 0.5
+"""The smallest part of the surfaces that the cameras see, and of the faces that are in one piece, of a mesh."""
+WHOLE = 0.8
+"""A mesh with less of the surfaces is told of."""
+
+_log = logging.getLogger(__name__)
 
 
 class Obj(Format):
@@ -31,7 +39,17 @@ class Obj(Format):
             raise ImportError('meshes need scikit-image: pip install "anystyle[mesh]"')
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        mesh = fused(_views(scene))
+        views = _views(scene)
+        mesh = fused(views)
+        covered, sizes = coverage(mesh, views), pieces(mesh)
+        told = f"the mesh has {covered:.0%} of the surfaces that the cameras see, in pieces: {len(sizes)}"
+        if covered < COVERED or sizes[0] < LARGEST * sizes.sum():
+            raise UserError(
+                f"{told}, the largest with {sizes[0] / sizes.sum():.0%} of the faces; {COVERED:.0%} and {LARGEST:.0%} "
+                "are needed: photograph from more places, or fit with reconstruction=fit reconstruction.quality=best"
+            )
+        if covered < WHOLE:
+            _log.warning("%s; the rest are holes, and what only some cameras see", told)
         lines = [f"# {note}" for note in scene.notes]
         rows = zip(mesh.vertices.tolist(), mesh.colors.tolist(), strict=True)
         lines += ["v {:.6g} {:.6g} {:.6g} {:.4f} {:.4f} {:.4f}".format(*point, *color) for point, color in rows]
@@ -57,6 +75,6 @@ def _views(scene: StyledScene) -> DepthViews:
     if views.agreement < AGREEMENT:
         raise UserError(
             f"of what the cameras see {views.agreement:.0%} is at the same depth for others, and a mesh needs "
-            f"{AGREEMENT:.0%}; photograph from more places, or fit with reconstruction.quality=best"
+            f"{AGREEMENT:.0%}; photograph from more places, or fit with reconstruction=fit reconstruction.quality=best"
         )
     return views

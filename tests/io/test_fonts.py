@@ -1,0 +1,54 @@
+"""Titles in scripts of the world are legible with the fonts that there are, and no letter is an empty box."""
+
+import logging
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw, ImageFont
+
+from anystyle.io import fonts
+from anystyle.io.sheet import contact_sheet
+
+DEJAVU = str(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf")
+
+
+@pytest.fixture(autouse=True)
+def forgotten():
+    for function in (fonts._files, fonts._tell):
+        function.cache_clear()
+    yield
+    for function in (fonts._files, fonts._tell):
+        function.cache_clear()
+
+
+def drawn(text, font):
+    image = Image.new("L", (200, 30))
+    ImageDraw.Draw(image).text((2, 2), text, fill=255, font=font)
+    return np.asarray(image)
+
+
+def test_plain_text_is_in_pillows_own_font():
+    text, font = fonts.lettered("The Great Wave, 1831", 15)
+    assert text == "The Great Wave, 1831" and font.getname() == ImageFont.load_default(15).getname()
+
+
+@pytest.mark.parametrize("text", ["Gemälde für Zoë", "Звёздная ночь", "ليلة النجوم", "Νύχτα"])
+def test_letters_of_other_scripts_are_drawn_as_another_reader_of_the_font_draws_them(text, monkeypatch, caplog):
+    monkeypatch.setattr(fonts, "FILES", fonts.FILES[:1])  # matplotlib brings it along
+    shown, font = fonts.lettered(text, 15)
+    assert shown == text and not caplog.messages
+    assert np.array_equal(drawn(shown, font), drawn(text, ImageFont.truetype(DEJAVU, 15)))
+
+
+def test_letters_that_no_font_has_are_left_out_and_told_of_once(monkeypatch, caplog):
+    monkeypatch.setattr(fonts, "FILES", fonts.FILES[:1])
+    assert [fonts.lettered(text, 15)[0] for text in ("🌊 wave 梵高", "梵高的星空")] == ["wave", "?"]
+    with caplog.at_level(logging.WARNING):
+        contact_sheet([[None]], column_titles=["🌊梵"])
+    assert len(caplog.messages) == 1 and "report.json has the titles whole" in caplog.text
+    monkeypatch.setattr(fonts, "FILES", ())
+    monkeypatch.setattr(fonts, "find_spec", lambda name: None)
+    fonts._files.cache_clear()
+    assert fonts.lettered("Gemälde", 15)[0] == "Gemalde"
