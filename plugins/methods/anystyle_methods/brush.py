@@ -33,7 +33,7 @@ SHORT_SIDE = 384
 LAYERS = (Layer(14.6, 5.5, 20, 0.035, 3), Layer(7.1, 3, 11, 0.05, 2), Layer(3.5, 1.5, 6, torch.inf, 1))
 """Large strokes where little is to be seen, small ones everywhere, nearer to the viewer."""
 OPACITY = 0.92
-LIFT = 0.012  # share of the depth, by which a stroke lies in front of the surface
+LIFT = 5  # pixels, by which a stroke lies in front of the surface: a share of the depth is far with a long lens
 PAINTING = 0.35  # weight of the painting's own flow beside the scene's, which decides where a surface has no direction
 NEIGHBORS = 12  # Gaussians whose centres make a surface's normal
 MIN_PIXELS, MIN_OPACITY = 1.0, 0.2  # of a Gaussian that a stroke may be painted at
@@ -83,7 +83,8 @@ class Brush(Method):
         canvas = _Canvas.of(scene, gaussians, pixels)
         photographs = rgb_from_constant(scene.attributes.color[0, ..., 0]).movedim(-1, 1).float()
         picture = painted if style.image is None else style.image.to(painted)
-        unit = self.size * embedding.scale * min(painted.shape[-2:]) / SHORT_SIDE
+        pixel = min(painted.shape[-2:]) / SHORT_SIDE
+        unit = self.size * embedding.scale * pixel
         generator = torch.Generator().manual_seed(self.seed)
         own = structure_tensor(picture, 1.5, 5.0).mean(0, keepdim=True)  # of one painting, or of all views
         own = interpolate(own, painted.shape[-2:], mode="bilinear")
@@ -95,7 +96,8 @@ class Brush(Method):
             detail = (photographs - blur(photographs, sized.width)).abs().mean(1, keepdim=True)
             chosen = canvas.choose(sized, blur(detail, 0.7 * sized.width)[:, 0], generator)
             colors = blur(painted, 0.5 * sized.width)
-            layers.append(canvas.strokes(chosen, sized, tensor, colors, LIFT * (1 + depth) / 2, spread, generator))
+            lift = pixel * LIFT * (1 + depth) / 2
+            layers.append(canvas.strokes(chosen, sized, tensor, colors, lift, spread, generator))
         missing = base.harmonics.shape[2] - 1
         layers[1:] = [replace(one, harmonics=pad(one.harmonics, (0, 0, 0, missing))) for one in layers[1:]]
         return Gaussians.cat(layers, dim=1)
@@ -122,7 +124,6 @@ class _Canvas:
     views: Int[Tensor, " N"]  # that view
     pixels: Int[Tensor, "N 2"]  # column and row there
     scales: Float[Tensor, " N"]  # world units per pixel of the nearest view: so no stroke looks too large
-    depths: Float[Tensor, " N"]
     density: Float[Tensor, " N"]  # points per unit of area
     cameras: Cameras  # of all views
 
@@ -157,7 +158,7 @@ class _Canvas:
         normals = normalize(torch.where(towards.abs() < 0.4, normals - rays, normals), dim=1)  # grazing, hence unsure
         radius = torch.from_numpy(distances[:, -1]).to(points)
         density = distances.shape[1] / (torch.pi * radius.square().clamp_min(1e-20))
-        fields = points, normals, rays, views, place.long(), nearest, depth.gather(0, own)[0], density
+        fields = points, normals, rays, views, place.long(), nearest, density
         return cls(*(field[inside] for field in fields), cameras=cameras)
 
     def choose(self, layer: Layer, detail: Float[Tensor, "V H W"], generator: torch.Generator) -> Int[Tensor, " M"]:
@@ -189,7 +190,7 @@ class _Canvas:
         along = normalize(along, dim=1)
         across = torch.linalg.cross(normals, along)
         lengths, widths = layer.length * scales * (0.6 + 0.8 * clarity[views, y, x]), layer.width * scales
-        centers = self.points[chosen] - rays * (lift * self.depths[chosen])[:, None]
+        centers = self.points[chosen] - rays * (lift * scales)[:, None]
         color = colors[views, :, y, x] + spread * self._noise(chosen, generator)
         rotation = rotation_matrix_to_quaternion(torch.stack([along, across, normals], dim=2))
         bristles = []

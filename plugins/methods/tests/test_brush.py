@@ -94,6 +94,17 @@ def test_strokes_lie_on_the_wall_along_its_stripes(wall, result):
     assert rgb.min() >= 0 and rgb.max() <= 1
 
 
+def test_strokes_are_as_near_to_the_wall_under_a_long_lens(wall, result):
+    number = wall.gaussians.means.shape[1]
+    poses, intrinsics = wall.cameras.world_from_camera.clone(), wall.cameras.intrinsics.clone()
+    poses[..., 2, 3] -= 14  # eight times as far away
+    intrinsics[..., [0, 1], [0, 1]] *= 8
+    views = replace(wall.views, cameras=Cameras(poses, intrinsics, wall.cameras.size))
+    far = painted(replace(colors_alone(views), gaussians=wall.gaussians))
+    heights = [2 - one.means[0, number:, 2] for one in (result, far)]
+    assert 0 < heights[1].mean() < 1.2 * heights[0].mean()
+
+
 def test_size_scales_strokes_and_the_seed_decides(wall, result):
     large, again = painted(wall, size=2.0, seed=1), painted(wall)
     number = wall.gaussians.means.shape[1]
