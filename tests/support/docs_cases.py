@@ -91,10 +91,14 @@ ENDS = {
     r"anystyle data caption wikiart ": "captions need transformers",
     r"anystyle stylize .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
     r"anystyle film .*keyframes.json": "there is no file of keyframes keyframes.json",
+    r"anystyle stylize .*poses_from=": "poses_from=exports/cameras.xml does not exist",
+    r"anystyle stylize .*poses=known": "no cameras are stored beside the photographs",
+    r"anystyle stylize .*--photo-masks ": "there is no folder of masks",
+    r"anystyle stylize scene.spz ": "there is no file scene.spz",
     r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
 }
-"""Commands that need a file from the network: they run as well, and end in one line that says which."""
+"""Commands that need a file which is not at hand: they run as well, and end in one line that says which."""
 TELLS = {
     r"anystyle plugins check ": "promises kept",
     r"anystyle stylize placement=sparse placement.step=3 --cfg job": "_target_: sparse.Sparse\nstep: 3",
@@ -105,7 +109,7 @@ TELLS = {
 """What the commands that begin so say, by which it is seen that they did their work."""
 NOT_RUN = {
     r"anystyle NAME$": "a name to fill in",
-    r"anystyle plugins check KIND NAME$": "names to fill in",
+    r"anystyle plugins check (KIND|cameras) NAME$": "names to fill in",
     r"anystyle data prepare KIND ROOT$": "names to fill in",
     r"anystyle export SCENE": "a file of a format that the reader adds",
     r"anystyle export .*obj": "a capture whose depth agrees; mesh/tests makes one",
@@ -121,6 +125,7 @@ NOT_RUN = {
     r"python -m tests\.benchmarks\.": "minutes, and pictures that do not travel with the project",
     r"ssh ": "needs another machine",
     r"anystyle stylize outputs/poster/": "a run of nerfstudio; plugins/formats/tests makes one",
+    r"anystyle nerfstudio export poster/": "the scene of that run",
     r"anystyle nerfstudio path ": "a path of nerfstudio's viewer; plugins/formats/tests makes one",
     r"ns-viewer ": "needs nerfstudio",
     r"(ln -s .*ComfyUI|ANYSTYLE_COMFYUI=)": "needs ComfyUI",
