@@ -18,7 +18,7 @@ from anystyle.testing.inputs import comparison, images
 from anystyle.testing.metric import build
 from anystyle.testing.subject import subject
 from anystyle.testing.toy.metric import ToyMetric
-from anystyle.types import Comparison
+from anystyle.types import Comparison, Style
 
 PREDS, TARGET, STYLE = (images(3, (48, 40), seed=seed) for seed in (1, 2, 3))
 
@@ -121,6 +121,12 @@ def test_one_style_is_of_all_and_texts_are_styles():
         (ColorMatch(), {"preds": PREDS, "style": STYLE[:2]}, r"Style\.image is .*\[B=3, 3, h, w\]"),
         (StyleRetrieval(), {"preds": PREDS, "style": STYLE, "scenes": ("room",)}, "scenes has 1 names"),
         (ToyMetric(), {"preds": PREDS}, "missing a required argument: 'target'"),
+        (
+            ToyMetric(),
+            {"preds": PREDS, "target": TARGET, "numbers": (0, 1)},
+            "numbers has 2 numbers; .* each of 1 views",
+        ),
+        (ColorMatch(), {"preds": PREDS, "style": Style(STYLE * torch.nan)}, "style with values from nan"),
     ],
 )
 def test_what_is_wrong_is_named(metric, tensors, message):

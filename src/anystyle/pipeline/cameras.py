@@ -60,8 +60,8 @@ def scene_from_known(known: Float[Tensor, "V 4 4"], predicted: Float[Tensor, "V 
     similarity = similarity_of_cameras(known, predicted)
     if not bool(similarity.scale > 1e-9):
         raise UserError(
-            "the known poses do not match the images: they move the other way from what the images show; check that "
-            "they are in the images' order, or use poses=predicted"
+            "the cameras that are stored, or were found, do not match the images as the backbone sees them: they move "
+            "the other way; check that stored ones are in the images' order, or use poses=predicted"
         )
     return similarity
 

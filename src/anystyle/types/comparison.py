@@ -80,8 +80,13 @@ class Comparison(Value):
             check_tensor(style, Float[Tensor, "B 3 h w"], "style")
             images = _images(style, "style")[:, 0]
             style = Style(images.expand(rows, -1, -1, -1) if len(images) == 1 else images)
-        elif style is not None and not isinstance(style, Style):
+        elif isinstance(style, Style):
+            if len(shown := _shown(style)):
+                _images(shown, "style")
+        elif style is not None:
             style = Style(text=tuple(style))
+        if len(numbers) not in (0, stylized.shape[1]):
+            raise ShapeError(f"numbers has {len(numbers)} numbers", f"one for each of {stylized.shape[1]} views")
         for name, words in (("scenes", scenes), ("style", style.text if style else None)):
             if words and len(words) != rows:
                 raise ShapeError(f"{name} has {len(words)} names", f"one for each of {rows} scenes")
@@ -106,14 +111,13 @@ class Comparison(Value):
             )
         if len(self.numbers) not in (0, self.stylized.shape[1]):
             raise UserError(f"{where}{self.stylized.shape[1]} views have {len(self.numbers)} numbers; give one each")
-        content = self.content[:1] if self.content.stride(0) == 0 else self.content
-        style = None if self.style is None else self.style.image
-        if style is not None and self.style is not None and self.style.has_image is not None:
-            style = style[self.style.has_image]
-        parts = {"the photographs": content, "the stylized images": self.stylized, "the style images": style}
+        parts = {"the photographs": self.content, "the stylized images": self.stylized}
+        if self.style is not None:
+            parts["the style images"] = _shown(self.style)
         for what, images in parts.items():
+            images = images[:1] if images.stride(0) == 0 else images
             # Adding is a tenth of the work of testing each value.
-            if images is not None and not images.sum().isfinite() and (bad := int((~torch.isfinite(images)).sum())):
+            if not images.sum().isfinite() and (bad := int((~torch.isfinite(images)).sum())):
                 raise UserError(
                     f"{where}{what} hold {bad} values that are NaN or infinite; a metric needs numbers in [0, 1]"
                 )
@@ -196,6 +200,13 @@ class Flow(Value):
 
     displacement: Float[Tensor, "M 2 H W"]
     visible: Bool[Tensor, "M H W"]
+
+
+def _shown(style: Style) -> Float[Tensor, "N 3 h w"]:
+    """The images of the rows that have one."""
+    if style.image is None:
+        return torch.zeros(0, 3, 1, 1)
+    return style.image if style.has_image is None else style.image[style.has_image]
 
 
 def _images(images: Tensor, name: str) -> Float[Tensor, "B V 3 H W"]:
