@@ -3,6 +3,7 @@
 import gc
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,16 @@ def pytest_collection_finish() -> None:
     """A million objects of modules and tests are there until the end: no collection of garbage looks at them again."""
     gc.freeze()
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _threads_stay() -> Iterator[None]:
+    """No library that a test calls may leave PyTorch with other threads for the tests after it."""
+    import torch  # here: what hands tests out needs none
+
+    before = torch.get_num_threads()
+    yield
+    assert torch.get_num_threads() == before
 
 
 @pytest.fixture(scope="session")
