@@ -4,7 +4,7 @@ BIN := .venv/bin
 EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,usd,spz,mesh
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo benchmark-smoke docs notebooks test test-slow fuzz lint format
+.PHONY: setup demo benchmark-smoke docs notebooks test tests test-slow fuzz lint format
 
 setup: .venv/.ready
 
@@ -40,7 +40,11 @@ docs: setup
 notebooks: setup
 	$(BIN)/python tests/support/notebooks.py
 
-test: lint
+# Types are checked beside the tests: that takes minutes of one core.
+test: setup
+	$(MAKE) --jobs 2 lint tests
+
+tests: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --durations 15
 
 test-slow: setup

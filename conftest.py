@@ -1,7 +1,9 @@
 """What holds for all tests: nothing is kept in the user's cache folder, and what is compiled is kept for the next."""
 
+import gc
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +15,30 @@ from tests.support.program import Program
 pytest_plugins = ("tests.support.browser",)
 
 os.environ["ANYSTYLE_CACHE"] = "off"
+# Parallel kernels of numba, which a reader of splats has that tests compare with, set the threads of OpenMP, which are
+# PyTorch's too: every later test of the worker would compute on all cores, and wait for them.
+os.environ["NUMBA_NUM_THREADS"] = "1"
 # Where bytecode is forbidden, each worker and each process that a test starts would compile every module again: of the
 # libraries too, since what an instrumented module imports is looked for under the instrumentation's own name.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """A million objects of modules and tests are there until the end: no collection of garbage looks at them again."""
+    gc.freeze()
+    gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _threads_stay() -> Iterator[None]:
+    """No library that a test calls may leave PyTorch with other threads for the tests after it."""
+    import torch  # here: what hands tests out needs none
+
+    before = torch.get_num_threads()
+    yield
+    assert torch.get_num_threads() == before
 
 
 @pytest.fixture(scope="session")

@@ -27,17 +27,28 @@ def photographs(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture
-def words(photographs: Path, tmp_path: Path) -> list[str]:
-    """A command for the Head variant in miniature, on a whole file."""
-    torch.save(training_checkpoint("head"), tmp_path / "head.ckpt")
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory) -> Path:
+    """The Head variant in miniature."""
+    file = tmp_path_factory.mktemp("checkpoint") / "head.ckpt"
+    torch.save(training_checkpoint("head"), file)
+    return file
+
+
+@pytest.fixture(scope="module")
+def model(checkpoint: Path) -> list[str]:
+    """The words for a model of its sizes, on the whole file."""
     sizes = OmegaConf.to_container(reference_config(small_checkpoint("head")).backbone, enum_to_str=True)
     assert isinstance(sizes, dict)
     options = [override(f"backbone.{key}", value) for key, value in sizes.items() if key != "_target_"]
     options += [override(f"style_encoder.{key}", value) for key, value in ENCODER.items()]
-    files = [f"weights.{part}={tmp_path / 'head.ckpt'}" for part in ("backbone", "branch")]
+    return [*options, *(f"weights.{part}={checkpoint}" for part in ("backbone", "branch"))]
+
+
+@pytest.fixture
+def words(photographs: Path, model: list[str], tmp_path: Path) -> list[str]:
     given = [str(photographs), "--text", "dots", "--out", str(tmp_path / "out"), "model=anystyle_head"]
-    return [*given, *options, *files, "weights.style_encoder=null", "views.short_side=56"]
+    return [*given, *model, "weights.style_encoder=null", "views.short_side=56"]
 
 
 def refused(capsys, words: list[str], *more: str) -> str:
@@ -52,9 +63,9 @@ def refused(capsys, words: list[str], *more: str) -> str:
     return lines[0]
 
 
-def test_files_that_are_not_the_checkpoint(words, tmp_path, capsys):
+def test_files_that_are_not_the_checkpoint(words, checkpoint, tmp_path, capsys):
     save_file({"visual.proj": torch.zeros(2)}, tmp_path / "other.safetensors")
-    (tmp_path / "half.ckpt").write_bytes((tmp_path / "head.ckpt").read_bytes()[:20000])
+    (tmp_path / "half.ckpt").write_bytes(checkpoint.read_bytes()[:20000])
     for name, told in (
         ("other.safetensors", "not AnySplat's or AnyStyle's (visual.proj)"),
         ("half.ckpt", "is truncated or no file of weights"),

@@ -98,10 +98,14 @@ def test_files_and_variables_exist(page):
     text = FENCE.sub("", _text(page))
     for name in set(re.findall(r"`((?:src|conf|docs|tests|notebooks)/[\w./]*)`", text)):
         assert (ROOT / name).exists() or (page.parent / name).exists(), f"{page.name} speaks of {name}"
-    files = [*(ROOT / "src").rglob("*.py"), *ROOT.glob("plugins/*/anystyle_*/**/*.py")]
-    sources = "".join(path.read_text(encoding="utf-8") for path in files)
     for name in set(re.findall(r"\bANYSTYLE_\w+", _text(page))) - {"ANYSTYLE_TEST_DATA", "ANYSTYLE_COMFYUI"}:
-        assert name in sources, f"{page.name} speaks of {name}, which nothing reads"
+        assert name in _sources(), f"{page.name} speaks of {name}, which nothing reads"
+
+
+@cache
+def _sources():
+    files = [*(ROOT / "src").rglob("*.py"), *ROOT.glob("plugins/*/anystyle_*/**/*.py")]
+    return "".join(path.read_text(encoding="utf-8") for path in files)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
@@ -191,22 +195,26 @@ def _compose(command, module, words):
             folders = {name: value for name in FOLDERS if (value := getattr(arguments, name)) is not None}
             overrides = completed(overrides, folders, arguments.trained)
     parsed = OverridesParser.create().parse_overrides(overrides)
-    single = [word for word, item in zip(overrides, parsed, strict=True) if not item.is_sweep_override()]
-    swept = [
+    choices = [
         [
             f"{item.get_key_element()}={value}"
             for value in ([item.value().start] if item.is_interval_sweep() else item.sweep_string_iterator())
         ]
-        for item in parsed
         if item.is_sweep_override()
+        else [word]
+        for word, item in zip(overrides, parsed, strict=True)
     ]
-    # Every value once, the others at their first.
-    for place, values in enumerate(swept or [[]]):
-        others = [choice[0] for other, choice in enumerate(swept) if other != place]
-        for value in values or [None]:
-            chosen = [*single, *others, *([value] if value else [])]
-            named = ["name=x", "out=x"] if command == "train" else []
-            compose(command, [*(word for word in chosen if not word.startswith("name=")), *named])
+    named = ["name=x", "out=x"] if command == "train" else []
+    # Every value of a sweep once: the first of all, the second of all, and the last of those that have fewer.
+    for place in range(max(map(len, choices), default=1)):
+        chosen = [values[min(place, len(values) - 1)] for values in choices]
+        _composed(command, *(word for word in chosen if not word.startswith("name=")), *named)
+
+
+@cache
+def _composed(command, *words):
+    """The words can be composed; many commands differ in their files alone."""
+    compose(command, words)
 
 
 def _plain(command, module, words):

@@ -117,7 +117,7 @@ def test_bad_images_are_failures_of_their_cells_alone(copy, capsys):
     (other / "image2.json").unlink()
     write_json(other / "image1.json", msgspec.to_builtins(Record("timeout", "was stopped after 2 hours")))
     capsys.readouterr()
-    main([str(results), "--track", str(track)])
+    main([str(results), "--track", str(track), "--processes", "1"])
     lines = capsys.readouterr()
     cells = {cell.cell: cell for cell in read(results).cells}
     bad = {key: (cell.status, cell.message) for key, cell in cells.items() if cell.status != "done"}

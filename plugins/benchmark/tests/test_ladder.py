@@ -263,7 +263,7 @@ def made_rungs(tmp_path_factory):
                         pixels = (255 * image).round().byte().permute(1, 2, 0).numpy()
                         Image.fromarray(pixels).save(cell.images(results) / f"{view}.png")
                     write_json(cell.record(results), msgspec.to_builtins(Record("done")))
-    words = [str(results), "--track", str(track), "--distortions", ",".join(functions)]
+    words = [str(results), "--track", str(track), "--distortions", ",".join(functions), "--processes", "1"]
     main(words)
     assert [one.name for one in rungs(spec, [*functions], {"image"})][:2] == ["undistorted", "view_blur-1"]
     return track, results, words

@@ -7,6 +7,7 @@ packaged by name: ``loss=[content,style]``, ``loss.style.weight=2``.
 
 import importlib
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,14 @@ _OPTIONS = "options"
 
 
 class PluginSource(ConfigSource):
-    """Configurations made of constructor signatures, of dataclasses of options, and of the files beside plugins."""
+    """Configurations made of constructor signatures, of dataclasses of options, and of the files beside plugins.
+
+    Hydra makes one for each command, and asks it again and again: what there is stays as it was at first.
+    """
+
+    def __init__(self, provider: str, path: str) -> None:
+        super().__init__(provider, path)
+        self._groups, self._presets = cache(groups), cache(_presets)
 
     @staticmethod
     def scheme() -> str:
@@ -37,7 +45,7 @@ class PluginSource(ConfigSource):
         return True
 
     def is_group(self, config_path: str) -> bool:
-        return config_path.strip("/") in ("", _OPTIONS, *groups())
+        return config_path.strip("/") in ("", _OPTIONS, *self._groups())
 
     def is_config(self, config_path: str) -> bool:
         group, name = _split(config_path)
@@ -46,7 +54,7 @@ class PluginSource(ConfigSource):
     def list(self, config_path: str, results_filter: ObjectType | None) -> "list[str]":
         group = config_path.strip("/")
         if not group:
-            return [] if results_filter is ObjectType.CONFIG else sorted(groups())
+            return [] if results_filter is ObjectType.CONFIG else sorted(self._groups())
         return [] if results_filter is ObjectType.GROUP else self._names(group)
 
     def load_config(self, config_path: str) -> ConfigResult:
@@ -76,12 +84,12 @@ class PluginSource(ConfigSource):
             return sorted(OPTIONS)
         return sorted({*self._presets(group), *(catalog().names(group) if group in kinds() else ())})
 
-    @staticmethod
-    def _presets(group: str) -> dict[str, Path]:
-        try:
-            return package_presets(group)
-        except PluginError as error:
-            raise ConfigCompositionException(str(error)) from error
+
+def _presets(group: str) -> dict[str, Path]:
+    try:
+        return package_presets(group)
+    except PluginError as error:
+        raise ConfigCompositionException(str(error)) from error
 
 
 def _split(config_path: str) -> tuple[str, str]:
