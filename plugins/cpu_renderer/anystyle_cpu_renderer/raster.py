@@ -291,7 +291,7 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             tile[3, i] += weight * depth
             tile[4, i] = -abs(before) if full else after
             tile[5, i] = tile[5, i] if full else index
-        if entry % 16 == 15 and passing(tile) == ZERO:
+        if entry % 16 == 15 and passing(tile[4]) == ZERO:
             break
     for j in range(tall):
         for i in range(wide):
@@ -302,12 +302,80 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             last[top + j, left + i] = int(tile[5, at])
 
 
+@compiled
+def shares(splats: Array, owners: Array, tiles: Tiles, top: int, cap: float, transmittance: Array) -> tuple:
+    """The share of each Gaussian in each pixel of one row of tiles, as rows of a sparse matrix.
+
+    Writes ``transmittance [H, W]``; ``owners`` are the Gaussians of ``splats``. Returns where the row of each pixel
+    ends, and the columns and values of its entries.
+    """
+    lists, offsets = tiles
+    width = transmittance.shape[1]
+    tall = min(HEIGHT, transmittance.shape[0] - top)
+    places, columns, values = np.empty(1 << 16, np.int32), np.empty(1 << 16, np.int32), np.empty(1 << 16, np.float32)
+    number = 0
+    # Planes: transmittance (negative once the pixel is full), the share of the current splat, column, row.
+    tile = np.empty((4, HEIGHT * WIDTH), np.float32)
+    for column in range(offsets.shape[0] - 1):
+        entries = lists[offsets[column] : offsets[column + 1]]
+        left, wide = column * WIDTH, min(WIDTH, width - column * WIDTH)
+        for i in range(HEIGHT * WIDTH):
+            tile[0, i] = ONE if (i // WIDTH < tall) & (i % WIDTH < wide) else ZERO
+            tile[2, i], tile[3, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+        near = gather(splats, entries, entries.shape[0], top, left)
+        for entry in range(entries.shape[0]):
+            e, first, last = np.uint64(entry), np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE
+            x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
+            for i in range(first, last):
+                dx, dy = tile[2, i] - x, tile[3, i] - y
+                sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
+                alpha = min(cap, opacity * falloff(sigma))
+                alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) else ZERO
+                before = tile[0, i]
+                after = before - before * alpha
+                full = after <= MIN_TRANSMITTANCE
+                tile[1, i] = ZERO if full else alpha * before
+                tile[0, i] = -abs(before) if full else after
+            if number + HEIGHT * WIDTH > values.shape[0]:
+                places, columns, values = longer(places), longer(columns), longer(values)
+            owner = owners[entries[entry, 0]]
+            for i in range(first, last):
+                if tile[1, i] > ZERO:
+                    places[number], columns[number] = np.int32(i) // WIDTH * width + left + np.int32(i) % WIDTH, owner
+                    values[number] = tile[1, i]
+                    number += 1
+            if entry % 16 == 15 and passing(tile[0]) == ZERO:
+                break
+        for j in range(tall):
+            for i in range(wide):
+                transmittance[top + j, left + i] = abs(tile[0, j * WIDTH + i])
+    ends = np.zeros(tall * width + 1, np.int64)
+    for k in range(number):
+        ends[places[k] + 1] += 1
+    for i in range(tall * width):
+        ends[i + 1] += ends[i]
+    cursor, sorted_columns, sorted_values = ends[:-1].copy(), np.empty(number, np.int32), np.empty(number, np.float32)
+    for k in range(number):
+        at = cursor[places[k]]
+        sorted_columns[at], sorted_values[at] = columns[k], values[k]
+        cursor[places[k]] += 1
+    return ends[1:], sorted_columns, sorted_values
+
+
+@compiled
+def longer(values: Array) -> Array:
+    """The same values in an array of twice the length."""
+    result = np.empty(2 * values.shape[0], values.dtype)
+    result[: values.shape[0]] = values
+    return result
+
+
 @summed
-def passing(tile: Array) -> np.float32:
+def passing(transmittance: Array) -> np.float32:
     """The sum of transmittance over the pixels of a tile that are not full."""
     value = ZERO
     for i in range(HEIGHT * WIDTH):
-        value += max(tile[4, i], ZERO)
+        value += max(transmittance[i], ZERO)
     return value
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
 
 from anystyle_cpu_renderer import projection, raster
 from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
@@ -100,6 +101,23 @@ def blend(
         return tiles if keep else None
 
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
+
+
+def shares(
+    splats: SortedSplats, cap: np.float32, size: tuple[int, int], number: int, run: Mapper
+) -> tuple[csr_array, np.ndarray]:
+    """The share of each of ``number`` Gaussians in each pixel, ``[H W, number]``, and the transmittance ``[H, W]``."""
+    owners, transmittance = np.empty_like(splats.owners), np.empty(size, np.float32)
+    owners[splats.ranks] = splats.owners
+
+    def job(row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return raster.shares(splats.data, owners, splats.tiles(row, size), row * raster.HEIGHT, cap, transmittance)
+
+    ends, columns, values = zip(*run(job, range(len(splats.offsets) - 1)), strict=True)
+    starts = np.cumsum([0, *map(len, values)])
+    rows = np.concatenate([[0], *(end + start for end, start in zip(ends, starts, strict=False))])
+    matrix = csr_array((np.concatenate(values), np.concatenate(columns), rows), (transmittance.size, number))
+    return matrix, transmittance
 
 
 def blend_backward(

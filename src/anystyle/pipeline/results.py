@@ -109,7 +109,7 @@ class Result:
     def write(self, folder: Path) -> Column:
         """Write all files into a folder that has none of them, and return the column of a sheet over several styles."""
         column = (self.style.title, self.style.cell, thumbnails(self._write_scene(folder)))
-        self.results.write_sheet(folder, [column])
+        self.results.write_sheet(folder, [*self.results.before, column])
         write_json(folder / "report.json", self.report)
         return column
 
@@ -214,7 +214,7 @@ class Results:
     def write(self, folder: Path) -> None:
         """Write all results into a folder that has none of their files."""
         written: list[Future[Column]] = []
-        columns, alike = [self.unstyled], [("unstyled", self.restyler.unstyled)]
+        columns, alike = [*self.before], [("unstyled", self.restyler.unstyled)]
         report: dict[str, object] = {}
         # A result is rendered and encoded in a thread while the next one is computed: memory holds two, and no film.
         with ThreadPoolExecutor(1) as thread:
@@ -235,7 +235,7 @@ class Results:
         with self.stages("write", "what the styles have in common"):
             save_gaussians(self.restyler.unstyled, folder / "unstyled.safetensors")
             if len(self) > 1:
-                self.write_sheet(folder, columns[1:])
+                self.write_sheet(folder, columns)
             for name in self.common_formats if len(alike) > 1 else []:
                 export_styles(self.scene(alike, self.styles), folder / f"scene.{name}", name, up=self.export.up)
         if len(self) > 1:
@@ -273,22 +273,21 @@ class Results:
         return StyledScene(tuple(styles), encoded.cameras, names, lines, title, offset=encoded.offset)
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
-        """Write ``sheet.png``: photographs if there are any, the unstyled scene and the columns of some styles."""
-        if self.encoded.reconstruction["kind"] == "given":  # its views are renders of it
-            sheet = style_sheet(self._photographs, columns, title="unstyled")
-        else:
-            sheet = style_sheet(self._photographs, [self.unstyled, *columns])
-        save_png(sheet, folder / "sheet.png")
+        """Write ``sheet.png``: photographs, or of a given scene the renders that are its views, and some columns."""
+        title = "photograph" if self.before else "unstyled"
+        save_png(style_sheet(self._photographs, columns, title=title), folder / "sheet.png")
 
     @cached_property
     def _photographs(self) -> list[Image.Image]:
         return thumbnails([to_pil(image) for image in self.encoded.views.images[0]])
 
     @cached_property
-    def unstyled(self) -> Column:
-        """The column of the reconstruction itself."""
+    def before(self) -> list[Column]:
+        """The column of the reconstruction itself, unless the views are renders of it."""
+        if self.encoded.reconstruction["kind"] == "given":
+            return []
         with self.stages("render", "the unstyled scene"):
-            return "unstyled", None, thumbnails(list(map(to_pil, self.encoded.render(self.restyler.unstyled))))
+            return [("unstyled", None, thumbnails(list(map(to_pil, self.encoded.render(self.restyler.unstyled)))))]
 
 
 def _anonymous(
