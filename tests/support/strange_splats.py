@@ -12,7 +12,6 @@ import struct
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ Case = tuple[str, Callable[[], Strange]]
 def cases() -> dict[str, Callable[[], Strange]]:
     """All by name; the suffix of a name is that of the file."""
     made = itertools.chain(plys(), compressed(), splats(), spzs(), sogs(), ksplats(), glbs())
-    return {name: make for name, make in made}
+    return dict(made)
 
 
 def drawn(seed: int) -> np.random.Generator:
@@ -201,7 +200,7 @@ def typed() -> dict[str, Callable[[dict[str, Array]], tuple[dict[str, Array], di
         "colours to 255": colors("f4", 255),
         "colours twice": colors("u1", 255, both=True),
         "more properties": lambda values: (
-            {"id": np.arange(COUNT), "features_0": values["y"], **values, "filter_3D": values["x"], "label": values["z"] > 0},
+            {"id": np.arange(COUNT), "f_0": values["y"], **values, "filter_3D": values["x"], "label": values["z"] > 0},
             {"id": "u4", "label": "u1", "filter_3D": "f8"}, (),
         ),
     }  # fmt: skip
@@ -215,8 +214,8 @@ def headers() -> Iterator[Case]:
         "comment that says end_header": lambda text: text.replace(b"element", b"comment no end_header yet\nelement", 1),
         "empty comment": lambda text: text.replace(b"element", b"comment\nelement", 1),
         "comment before the format": lambda text: text.replace(b"format", b"comment Generated\nformat", 1),
-        "comments among properties": lambda text: text.replace(b"property float opacity", b"comment logit\nproperty float opacity"),
-        "100 kB of comments": lambda text: text.replace(b"element", (b"comment " + b"a" * 990 + b"\n") * 100 + b"element", 1),
+        "comments among properties": lambda text: text.replace(b"property", b"comment logit\nproperty"),
+        "70 kB of comments": lambda text: text.replace(b"element", b"comment much\n" * 5500 + b"element", 1),
         "obj_info": lambda text: text.replace(b"element", b"obj_info made by hand\nelement", 1),
         "names of types with bits": lambda text: text.replace(b" float ", b" float32 "),
         "more spaces": lambda text: text.replace(b"property float", b"property   float "),
@@ -384,7 +383,7 @@ def refused_plys() -> Iterator[Case]:
     yield "cut.ply", lambda: Strange(ply(columns(1))[:-7], "is not a PLY file of Gaussians")
     yield (
         "13 harmonics.ply",
-        lambda: Strange(ply(columns(1) | {f"f_rest_{i}": np.zeros(COUNT) for i in range(12)}), "a square"),
+        lambda: Strange(ply(columns(1) | {f"f_rest_{i}": np.zeros(COUNT) for i in range(12)}), "12 properties"),
     )
 
 
@@ -834,7 +833,8 @@ def glbs() -> Iterator[Case]:
         text += b" " * (-len(text) % 4)
         chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
         data = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-        return Strange(data, Held(means, turns, scales, alpha[:, 0], scene.harmonics))
+        held_here = Held(means, turns, scales, alpha[:, 0], scene.harmonics)
+        return Strange(data, "it lacks 'scenes'" if how == "no scenes" else held_here)
 
     for degree in range(4):
         yield f"degree {degree}.glb", lambda degree=degree: packed(degree)

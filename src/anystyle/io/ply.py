@@ -165,8 +165,8 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
         raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     columns = _with_constant(columns, remarks)
     rest = sum(name.startswith("f_rest_") for name in columns)
-    if rest % 3:
-        raise UserError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
+    if rest % 3 or isqrt(rest // 3 + 1) ** 2 != rest // 3 + 1:
+        raise UserError(f"{path} has {rest} properties f_rest_*; 0, 9, 24 or 45 are expected")
     names = [name for name in _properties(_degree(rest // 3 + 1)) if name not in ("x", "y", "z", "nx", "ny", "nz")]
     if {"scale_0", "scale_1"} <= columns.keys() and "scale_2" not in columns:
         names.remove("scale_2")
@@ -229,7 +229,7 @@ def unpack(data: PlyData) -> dict[str, NDArray[Any]]:
         shift, top = ((21, 2047), (11, 1023), (0, 2047))[index]  # 11, 10 and 11 bits
         columns[axis] = between((vertex["packed_position"] >> shift & top) / top, axis)
         columns[f"scale_{index}"] = between((vertex["packed_scale"] >> shift & top) / top, f"scale_{axis}")
-    quaternions = smallest_three_to_wxyz(vertex["packed_rotation"])
+    quaternions = smallest_three_to_wxyz(vertex["packed_rotation"].astype(np.uint32))
     columns |= {f"rot_{index}": quaternions[:, index] for index in range(4)}
     *colors, alpha = ((vertex["packed_color"] >> shift & 255) / 255 for shift in (24, 16, 8, 0))
     for index, (channel, values) in enumerate(zip("rgb", colors, strict=True)):
