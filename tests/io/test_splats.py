@@ -91,14 +91,6 @@ def test_red_green_blue_stand_for_the_constant_of_harmonics(kind, top, tmp_path,
         assert torch.equal(Gaussians.load(tmp_path / "again.ply").harmonics, found.harmonics.flip(1))
 
 
-def test_discs_of_2dgs_are_flat(tmp_path, caplog):
-    values = columns()
-    del values["scale_2"]
-    found = Gaussians.load(write_ply(tmp_path / "scene.ply", values))
-    assert bool((found.scales[..., 2] == 0).all()) and torch.allclose(found.scales[..., :2], torch.tensor(-4.0).exp())
-    assert len(caplog.messages) == 1 and "without scale_2" in caplog.messages[0]
-
-
 def globe(path, order="<", **header):
     """Points a centimetre apart in a row, at coordinates of UTM."""
     values = columns() | {"x": 4.5e6 + 0.01 * np.arange(300), "y": 5.4e5 + np.zeros(300)}

@@ -354,6 +354,16 @@ def strange_rows() -> Iterator[Case]:
 
     yield "quaternions of other signs and lengths.ply", opposite
     yield "quaternions of 0.ply", still
+
+    def uneven() -> Strange:
+        """Four coefficients a colour above the constant one: degree 1 takes three."""
+        values, held = columns(1), held_by(columns(1))
+        for index in reversed(range(9)):
+            values[f"f_rest_{index + index // 3}"] = values[f"f_rest_{index}"]
+        values |= {f"f_rest_{index}": np.full(COUNT, 9.0) for index in (3, 7, 11)}
+        return Strange(ply(values), held, ("of 4 coefficients a colour in f_rest_*, the first 3 are read, degree 1",))
+
+    yield "an uneven number of harmonics.ply", uneven
     yield "two scales.ply", flat
     yield "lengths and fractions.ply", lengths
     yield "coordinates of UTM.ply", globe
@@ -382,8 +392,8 @@ def refused_plys() -> Iterator[Case]:
     yield "no rows.ply", lambda: Strange(ply(columns(1, 0)), "it is empty")
     yield "cut.ply", lambda: Strange(ply(columns(1))[:-7], "is not a PLY file of Gaussians")
     yield (
-        "13 harmonics.ply",
-        lambda: Strange(ply(columns(1) | {f"f_rest_{i}": np.zeros(COUNT) for i in range(12)}), "12 properties"),
+        "10 harmonics.ply",
+        lambda: Strange(ply(columns(0) | {f"f_rest_{i}": np.zeros(COUNT) for i in range(10)}), "10"),
     )
 
 

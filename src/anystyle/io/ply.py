@@ -164,10 +164,18 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     except (KeyError, ValueError) as error:
         raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     columns = _with_constant(columns, remarks)
-    rest = sum(name.startswith("f_rest_") for name in columns)
-    if rest % 3 or isqrt(rest // 3 + 1) ** 2 != rest // 3 + 1:
-        raise UserError(f"{path} has {rest} properties f_rest_*; 0, 9, 24 or 45 are expected")
-    names = [name for name in _properties(_degree(rest // 3 + 1)) if name not in ("x", "y", "z", "nx", "ny", "nz")]
+    each, odd = divmod(sum(name.startswith("f_rest_") for name in columns), 3)
+    if odd:
+        raise UserError(f"{path} has {3 * each + odd} properties f_rest_*; a multiple of three is expected")
+    degree = isqrt(each + 1) - 1
+    higher = (degree + 1) ** 2 - 1
+    if higher < each:
+        remarks.guesses.append(
+            f"of {each} coefficients a colour in f_rest_*, the first {higher} are read, degree {degree}"
+        )
+    rest = [f"f_rest_{color * each + index}" for color in range(3) for index in range(higher)]
+    names = [name for name in _properties(0) if name not in ("x", "y", "z", "nx", "ny", "nz")]
+    names[3:3] = rest
     if {"scale_0", "scale_1"} <= columns.keys() and "scale_2" not in columns:
         names.remove("scale_2")
         remarks.guesses.append("without scale_2, its Gaussians are flat discs, as 2DGS writes them")
@@ -176,8 +184,8 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     means, offset = near(np.stack([columns[axis] for axis in "xyz"], axis=1), remarks)
     with np.errstate(over="ignore"):
         values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
-    constant, higher, opacity, scales, rotations = values.split([3, rest, 1, len(names) - 8 - rest, 4], dim=1)
-    harmonics = torch.cat([constant[:, None], higher.unflatten(1, (3, rest // 3)).mT], dim=1)
+    constant, others, opacity, scales, rotations = values.split([3, len(rest), 1, len(names) - 8 - len(rest), 4], dim=1)
+    harmonics = torch.cat([constant[:, None], others.unflatten(1, (3, higher)).mT], dim=1)
     rows = Splats(torch.from_numpy(means), rotations, scales, opacity[:, 0], harmonics)
     return Loaded(*visible(rows, remarks, logarithmic=True, activated=activated), offset)
 
