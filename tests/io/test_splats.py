@@ -11,6 +11,7 @@ from plyfile import PlyData
 
 from anystyle.contracts import Format
 from anystyle.errors import UserError
+from anystyle.formats.ply import comments
 from anystyle.io import ply
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.saved import read_saved
@@ -124,7 +125,7 @@ def test_points_on_the_globe_stay_apart_and_get_their_offset_back(order, tmp_pat
         if name != "spz":
             np.testing.assert_allclose(again.styles[0][1].means, scene.styles[0][1].means, rtol=0, atol=1e-6)
     np.testing.assert_allclose(positions(tmp_path / "out.ply"), truth, rtol=0, atol=1e-6)
-    assert ply.recolor(path, scene.styles[0][1].harmonics[0], tmp_path / "out.ply")
+    assert ply.recolor(path, scene.styles[0][1].harmonics[0], tmp_path / "out.ply", comments(scene))
     np.testing.assert_allclose(positions(tmp_path / "out.ply"), truth, rtol=0, atol=1e-9)
 
 
@@ -166,7 +167,7 @@ def test_activated_values_are_told_and_read_when_that_is_said(tmp_path, caplog):
         read_saved(write_ply(tmp_path / "logarithms.ply", columns()), activated=True)
 
 
-@pytest.mark.parametrize("name", ["ply", "splat", "spz", "sog", "glb", "usda", "html", "ckpt"])
+@pytest.mark.parametrize("name", ["ply", "splat", "ksplat", "spz", "sog", "glb", "usda", "html", "ckpt"])
 def test_writers_take_extremes_without_a_word(name, tmp_path):
     """Opaque, flat and vast Gaussians, and a scene that is a point."""
     values = {key: column[:5].copy() for key, column in columns().items()}

@@ -760,7 +760,14 @@ def ksplats() -> Iterator[Case]:
         yield f"two sections, level {level}.ksplat", lambda level=level: packed(level, 1, sections=2)
         yield f"room for more, level {level}.ksplat", lambda level=level: packed(level, 1, room=7)
     yield "more buckets.ksplat", lambda: packed(2, 1, partial=True)
-    yield "cut.ksplat", lambda: Strange(packed(0, 1).data[:-100], "is not a readable KSPLAT file")
+
+    def cut() -> Strange:
+        whole = packed(0, 1)
+        assert isinstance(whole.held, Held)
+        line = "the file ends after 298 of 300 Gaussians of a section"
+        return Strange(whole.data[:-100], whole.held.rows(np.arange(298)), (line,))
+
+    yield "cut.ksplat", cut
     yield "version 1.ksplat", lambda: Strange(b"\1" + packed(0, 0).data[1:], "version 1")
     yield "no rows.ksplat", lambda: Strange(b"\0\1".ljust(4096, b"\0"), "it has no Gaussians")
 

@@ -161,16 +161,18 @@ def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: floa
 def tiles_of(splats: Array, order: Array, top: int, bottom: int, width: int, offsets: Array) -> Array:
     """List the splats of every tile in a row of tiles, in an order.
 
-    ``[entries, 3]``: the splat, the first row of the tile that it covers, one past the last.
+    ``[entries, 3]``: the splat, the first row of the tile that it covers, one past the last, which is the same for a
+    splat that only seemed to reach the tile.
     """
     columns = offsets.shape[0] - 1
-    most = 0
+    offsets[:] = 0
     for g in range(splats.shape[0]):
         first, last = span(float(splats[g, 0]), float(splats[g, 10]), WIDTH, columns)
-        most += max(last + 1 - first, 0)
-    entries = np.empty((most, 4), np.int32)
-    offsets[:] = 0
-    number = 0
+        for column in range(first, last + 1):
+            offsets[column + 1] += 1
+    for column in range(columns):
+        offsets[column + 1] += offsets[column]
+    cursor, lists = offsets[:-1].copy(), np.empty((offsets[columns], 3), np.int32)
     for i in range(order.shape[0]):
         g = order[i]
         first, last = span(float(splats[g, 0]), float(splats[g, 10]), WIDTH, columns)
@@ -178,21 +180,10 @@ def tiles_of(splats: Array, order: Array, top: int, bottom: int, width: int, off
         for column in range(first, last + 1):
             x = np.float32(splats[g, 0] - column * WIDTH - 0.5)
             border = min(WIDTH, width - column * WIDTH) - 1
-            low, high = reach(splats, g, x, y, np.float32(border), np.float32(bottom))
-            if high > low:
-                row = entries[number]
-                row[0], row[1], row[2], row[3] = g, low, high, column
-                offsets[column + 1] += 1
-                number += 1
-    for column in range(columns):
-        offsets[column + 1] += offsets[column]
-    cursor = offsets[:-1].copy()
-    lists = np.empty((number, 3), np.int32)
-    for i in range(number):
-        at = cursor[entries[i, 3]]
-        for k in range(3):
-            lists[at, k] = entries[i, k]
-        cursor[entries[i, 3]] += 1
+            entry = lists[cursor[column]]
+            entry[0] = g
+            entry[1], entry[2] = reach(splats, g, x, y, np.float32(border), np.float32(bottom))
+            cursor[column] += 1
     return lists
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from anystyle.contracts import Format
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.io.atomic import atomic_path
+from anystyle.io.splats import Remarks
 from anystyle.types import StyledScene
 from anystyle_formats.packing import columns_of, in_bytes
 from anystyle_formats.reading import gaussians, reading, room_for
@@ -57,7 +58,7 @@ class Ksplat(Format):
             if major != 0 or minor < 1 or level >= len(_KINDS):
                 raise ValueError(f"version {major}.{minor}, level {level}; version 0.1 and levels 0 to 2 exist")
             room_for(path, count)
-            parts = list(_sections(data, number, level))
+            parts = list(_sections(data, number, level, remarks))
             rows = [part.rows for part in parts]
             color = np.concatenate([part["color"] for part in rows]) / 255
             most = max(part.degree for part in parts)
@@ -86,7 +87,7 @@ class _Part(NamedTuple):
     degree: int
 
 
-def _sections(data: bytes, number: int, level: int) -> Iterator[_Part]:
+def _sections(data: bytes, number: int, level: int, remarks: Remarks) -> Iterator[_Part]:
     start = HEADER + number * SECTION
     for index in range(number):
         count, room, size, buckets, block, width, top, _, full, partial, degree = _SECTION.unpack_from(
@@ -94,7 +95,11 @@ def _sections(data: bytes, number: int, level: int) -> Iterator[_Part]:
         )
         lengths = np.frombuffer(data, "<u4", partial, start)
         centers = np.frombuffer(data, "<f4", 3 * buckets, start + 4 * partial).reshape(-1, 3)
-        rows = np.frombuffer(data, _row(level, degree), room, start + 4 * partial + width * buckets)[:count]
+        row, first = _row(level, degree), start + 4 * partial + width * buckets
+        if (there := (len(data) - first) // row.itemsize) < count:
+            remarks.guesses.append(f"the file ends after {max(there, 0):,} of {count:,} Gaussians of a section")
+            count = max(there, 0)
+        rows = np.frombuffer(data, row, count, min(first, len(data)))
         means = rows["mean"].astype(np.float64)
         if level:
             if full + partial != buckets:
@@ -103,7 +108,7 @@ def _sections(data: bytes, number: int, level: int) -> Iterator[_Part]:
             bucket = np.searchsorted(ends, np.arange(count), side="right")
             means = (means - (top or _TOP)) * (block / 2 / (top or _TOP)) + centers[bucket]
         yield _Part(rows, means, degree)
-        start += 4 * partial + width * buckets + rows.itemsize * room
+        start = first + row.itemsize * room
 
 
 def _row(level: int, degree: int) -> np.dtype:

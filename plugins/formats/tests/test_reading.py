@@ -29,8 +29,8 @@ from anystyle_formats.reading import joined
 from tests.support.export_readers import SPLAT_TRANSFORM, read_with_gaussforge
 from tests.support.export_scene import LEAST, picture, psnr, scene
 
-READ = ("glb", "ply", "sog", "splat", "spz")
-QUANTISED = {"ply": 80, "glb": 80, "sog": 34, "splat": 30, "spz": 34}
+READ = ("glb", "ksplat", "ply", "sog", "splat", "spz")
+QUANTISED = {"ply": 80, "glb": 80, "ksplat": 40, "sog": 34, "splat": 30, "spz": 34}
 """PSNR in dB of files of other programs, some of which quantise more than this one."""
 
 
@@ -40,11 +40,11 @@ def read(path):
 
 
 @pytest.mark.parametrize("version", [3, 4])
-@pytest.mark.parametrize("name", ["spz", "splat", "sog"])
+@pytest.mark.parametrize("name", ["spz", "splat", "sog", "ksplat"])
 def test_files_of_gaussforge_are_read(name, version, tmp_path):
     """It turns no axes: its SPZ files stand on their heads until that is said."""
     gaussforge = pytest.importorskip("gaussforge", reason="the other program is in the group dev")
-    gaussians = scene(1 if name == "splat" else 16)
+    gaussians = scene({"splat": 1, "ksplat": 4}.get(name, 16))
     export(gaussians, tmp_path / "scene.ply", "ply")
     theirs = gaussforge.GaussForge().convert((tmp_path / "scene.ply").read_bytes(), "ply", name, spz_version=version)
     (tmp_path / f"theirs.{name}").write_bytes(theirs["data"])
@@ -228,7 +228,7 @@ def test_a_ply_header_that_names_the_axis_is_obeyed(said, up, tmp_path):
     """As Brush writes it, whose y is 3DGS's, and nerfstudio; what is asked for wins."""
     turned = in_axes(up, StyledScene((("", scene(4)),))).styles[0][1]
     splats = ply.Splats(*(tensor[0] for tensor in vars(turned).values()))
-    ply.write(splats, tmp_path / "scene.ply", f"from elsewhere\n{said}")
+    ply.write(splats, tmp_path / "scene.ply", ["from elsewhere", said])
     found = read_saved(tmp_path / "scene.ply")
     assert psnr(picture(found.styles[0][1]), picture(scene(4))) > 80
     assert found.notes[0] == "from elsewhere" and "scene.ply" in found.notes[1]

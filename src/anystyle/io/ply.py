@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isqrt, sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,8 +40,8 @@ class Loaded(NamedTuple):
     offset: Offset
 
 
-def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; each line of ``notes``, such as licences, becomes a comment.
+def write(splats: Splats, path: Path, notes: Sequence[str] = ()) -> None:
+    """Write one scene with ``notes``, such as licences, as comments.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
@@ -56,21 +56,24 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
     columns = torch.cat([means, torch.zeros_like(means), colors, logits, sizes, quaternions], dim=1)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(degree)])[:, 0]
     with atomic_path(path) as temporary:
-        comments = notes.encode("ascii", "replace").decode().splitlines()
-        PlyData([PlyElement.describe(vertices, "vertex")], comments=comments).write(temporary)
+        PlyData([PlyElement.describe(vertices, "vertex")], comments=_ascii(notes)).write(temporary)
 
 
-def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
+def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path, notes: Sequence[str] | None = None) -> bool:
     """Copy the Gaussians of a file with other colours, without properties of higher degrees; False if compressed.
 
     All other properties keep their bits, but for positions from which :func:`load` takes an offset off. Comments are
-    those of the file that is replaced, where there is one.
+    ``notes``, or those of the source.
     """
     data = _parsed(source)
     if "chunk" in data:
         return False
-    loaded = _decoded(data, Remarks(source), activated=False)
-    before = data["vertex"].data[loaded.kept.numpy()]
+    remarks, before = Remarks(source), data["vertex"].data
+    if len(before) == len(harmonics):
+        _, offset = near(np.stack([before[axis] for axis in "xyz"], axis=1), remarks)
+    else:
+        _, shown, offset = _decoded(data, remarks, activated=False)
+        before = before[shown.numpy()]
     colors = _flat(harmonics.cpu()).numpy()
     names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
     given = {name: before.dtype[name] for name in before.dtype.names or ()}
@@ -79,14 +82,18 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
     after = np.empty(len(before), dtype=list(kinds.items()))
     for name in kinds:
         after[name] = colors[:, names.index(name)] if name in names else before[name]
-    for axis, moved in zip("xyz", loaded.offset, strict=True):
+    for axis, moved in zip("xyz", offset, strict=True):
         if moved:
             after[axis] -= moved
     elements = [element for element in data.elements if element.name != "vertex"]
-    comments = _parsed(path).comments if path.exists() else data.comments
+    comments = data.comments if notes is None else _ascii(notes)
     with atomic_path(path) as temporary:
         PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text, comments=comments).write(temporary)
     return True
+
+
+def _ascii(notes: Sequence[str]) -> list[str]:
+    return "\n".join(notes).encode("ascii", "replace").decode().splitlines()
 
 
 def _flat(harmonics: Float[Tensor, "N K 3"]) -> Float[Tensor, "N 3*K"]:
@@ -186,7 +193,8 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
         values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
     constant, others, opacity, scales, rotations = values.split([3, len(rest), 1, len(names) - 8 - len(rest), 4], dim=1)
     harmonics = torch.cat([constant[:, None], others.unflatten(1, (3, higher)).mT], dim=1)
-    rows = Splats(torch.from_numpy(means), rotations, scales, opacity[:, 0], harmonics)
+    # Copies, so that the table of all numbers does not stay in memory.
+    rows = Splats(torch.from_numpy(means), rotations.clone(), scales.clone(), opacity[:, 0].clone(), harmonics)
     return Loaded(*visible(rows, remarks, logarithmic=True, activated=activated), offset)
 
 

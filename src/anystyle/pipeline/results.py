@@ -16,6 +16,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.errors import UserError
+from anystyle.formats.ply import comments
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
@@ -62,6 +63,13 @@ class Result:
     def alike(self) -> bool:
         """Whether it has as many Gaussians as the unstyled scene; some methods add some."""
         return self.gaussians.means.shape == self.results.restyler.unstyled.means.shape
+
+    @property
+    def _only_colors(self) -> bool:
+        """Whether all but colours is as it was given."""
+        unstyled, geometry = self.results.restyler.unstyled, ("means", "rotations", "scales", "opacities")
+        alike = (torch.equal(getattr(self.gaussians, name), getattr(unstyled, name)) for name in geometry)
+        return self.results.export.up in (None, "opencv") and all(alike)
 
     @property
     def report(self) -> dict[str, object]:
@@ -116,16 +124,16 @@ class Result:
     def _write_scene(self, folder: Path) -> list[Image.Image]:
         gaussians, encoded, results, options = self.gaussians, self.encoded, self.results, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
-        scene, written = self.scene(), folder / "scene.ply"
-        for name in dict.fromkeys(["ply", *options.formats]):
-            if not self.alike or name not in results.common_formats:
-                export_styles(scene, folder / f"scene.{name}", name, up=options.up)
-        geometry = ("means", "rotations", "scales", "opacities")
-        unchanged = (torch.equal(getattr(gaussians, n), getattr(results.restyler.unstyled, n)) for n in geometry)
-        untouched = options.up in (None, "opencv") and all(unchanged)
-        if encoded.splat is not None and encoded.splat.suffix.lower() == written.suffix and untouched:
-            # A trip through float32 logarithms and back moves the last bits.
-            ply.recolor(encoded.splat, gaussians.harmonics[0], written)
+        scene, given = self.scene(), encoded.splat
+        formats = [name for name in options.formats if not self.alike or name not in results.common_formats]
+        # A trip through float32 logarithms and back moves the last bits.
+        copied = given is not None and given.suffix.lower() == ".ply" and self._only_colors
+        if copied and ply.recolor(given, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
+            formats = [name for name in formats if name != "ply"]
+        else:
+            formats = ["ply", *formats]
+        for name in dict.fromkeys(formats):
+            export_styles(scene, folder / f"scene.{name}", name, up=options.up)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         names, followed = encoded.targets or (encoded.names, self.cameras)
