@@ -407,7 +407,9 @@ def compressed() -> Iterator[Case]:
         names = [*"xyz", "scale_x", "scale_y", "scale_z", *("rgb" if bounded else "")]
         low = {name: draw.normal(-4 if "scale" in name else 0, 0.5, chunks).astype("f4") for name in names}
         high = {name: low[name] + draw.random(chunks).astype("f4") * (how != "constant") for name in names}
-        chunk = {f"{bound}_{name}": values[name] for name in names for bound, values in (("min", low), ("max", high))}
+        groups = (names[:3], names[3:6], names[6:])  # in SuperSplat's order
+        both = (("min", low), ("max", high))
+        chunk = {f"{bound}_{name}": values[name] for group in groups for bound, values in both for name in group}
         words = {
             f"packed_{name}": draw.integers(0, 1 << 32, count, np.uint64)
             for name in ("position", "rotation", "scale", "color")
