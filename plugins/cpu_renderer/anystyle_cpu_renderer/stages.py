@@ -64,7 +64,8 @@ def project(scene: SceneArrays, view: CameraArrays, height: int, run: Mapper) ->
 
     rows = np.concatenate([np.empty(0, np.int64), *run(job, *chunks(scene.means))])
     offsets = np.empty(-(-height // raster.HEIGHT) + 1, np.int64)
-    return SortedSplats(data, rows, owners, *raster.by_row(data, rows, offsets), offsets)
+    copies, places = raster.by_row(data, rows, offsets)
+    return SortedSplats(data, rows, owners, copies, places, offsets)
 
 
 def project_backward(

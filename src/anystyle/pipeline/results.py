@@ -127,8 +127,8 @@ class Result:
         scene, given = self.scene(), encoded.splat
         formats = [name for name in options.formats if not self.alike or name not in results.common_formats]
         # A trip through float32 logarithms and back moves the last bits.
-        copied = given is not None and given.suffix.lower() == ".ply" and self._only_colors
-        if copied and ply.recolor(given, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
+        source = given if given is not None and given.suffix.lower() == ".ply" and self._only_colors else None
+        if source is not None and ply.recolor(source, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
             formats = [name for name in formats if name != "ply"]
         else:
             formats = ["ply", *formats]
