@@ -754,7 +754,8 @@ def ksplats() -> Iterator[Case]:
             "<BBxxIIIIHxx3fff", 0, 1, sections, sections, total + room * sections, total, level, 0, 0, 0, low, high
         )
         data = start.ljust(4096, b"\0") + b"".join(heads) + b"".join(bodies)
-        return Strange(data, Held(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
+        means, turns, scales, opacities, harmonics = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        return Strange(data, Held(means, turns, scales, opacities, harmonics))
 
     for level, degree in itertools.product(range(3), range(4)):
         yield f"level {level}, degree {degree}.ksplat", lambda level=level, degree=degree: packed(level, degree)
