@@ -136,7 +136,7 @@ def test_refuses_what_does_not_belong_together():
 
 
 class Differentiable(CpuRenderer):
-    """Has no mixtures of its own; counts its renders."""
+    """Has no linear views of its own; counts its renders."""
 
     calls = 0
 
@@ -144,7 +144,7 @@ class Differentiable(CpuRenderer):
         self.calls += 1
         return super().__call__(*scene)
 
-    def mixture(self, *scene):
+    def linear_view(self, *scene):
         return None
 
 
@@ -155,7 +155,7 @@ def test_gradients_stand_for_mixtures_and_serve_every_style():
     first = fit_colors(scene, views, pictures[0], renderer, **how)
     calls = renderer.calls
     result = fit_colors(scene, views, pictures[1], renderer, **how)
-    assert renderer.calls - calls == calls - 3 * 4  # two renders a view make its mixture, one says where it is largest
+    assert renderer.calls - calls == calls - 3 * 4  # two renders a view make it linear, one says what is largest
     torch.testing.assert_close(first.harmonics, fit_colors(scene, views, pictures[0], RENDERER, **how).harmonics)
     fresh = Differentiable(background=(0.2, 0.5, 0.8))
     assert torch.equal(result.harmonics, fit_colors(scene, views, pictures[1], fresh, **how).harmonics)
@@ -184,7 +184,7 @@ def test_what_does_not_fit_into_memory_is_rendered_again(monkeypatch):
     kept, again = [], []
     for results, limit in ((kept, 10**9), (again, 0)):
         monkeypatch.setattr("anystyle.methods.colors.KEPT", limit)
-        for cache in ("_SYSTEMS", "_MIXTURES"):
+        for cache in ("_SYSTEMS", "_VIEWS"):
             monkeypatch.setattr(f"anystyle.methods.colors.{cache}", LRUCache(1))
         results.append(fit_colors(scene, views, targets, RENDERER, steps=2, largest=True).harmonics)
     assert torch.equal(*kept, *again)

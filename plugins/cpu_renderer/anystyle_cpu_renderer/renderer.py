@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from anystyle.contracts import Mixture
+from anystyle.contracts import LinearView
 from anystyle.geometry.harmonics import degree_of, normalisation
 from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
@@ -42,7 +42,7 @@ class CpuRenderer(CappedRasterizer):
         return [*tensors, cameras.intrinsics.double()], settings
 
     @torch.no_grad()
-    def mixture(self, gaussians: Gaussians, camera: Cameras) -> Mixture:
+    def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView:
         with torch.autocast("cpu", enabled=False):
             gaussians, camera = at_least_single(gaussians, camera)
             (scene,), ((view,),) = _read(*self._inputs(gaussians, camera))
@@ -54,7 +54,7 @@ class CpuRenderer(CappedRasterizer):
             )
 
 
-class _Shares(Mixture):
+class _Shares(LinearView):
     """A sparse matrix: the share of each Gaussian in each pixel."""
 
     def __init__(self, matrix: csr_array, transmittance: np.ndarray, background: tuple[float, float, float]) -> None:

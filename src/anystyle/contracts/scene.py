@@ -60,7 +60,7 @@ class StyleSource(Pluggable, ABC):
         """One style as a batch of one, on the CPU."""
 
 
-class Mixture(ABC):
+class LinearView(ABC):
     """One view of one scene as a linear map of constant colours: a pixel mixes those of the Gaussians that it shows."""
 
     background: Float[Tensor, "3 H W"]
@@ -91,7 +91,7 @@ class Renderer(Pluggable, ABC):
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
 
-    def mixture(self, gaussians: Gaussians, camera: Cameras) -> Mixture | None:
+    def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView | None:
         """A view of one scene, if the renderer has a faster way to it and to its transpose than its gradient."""
         return None
 

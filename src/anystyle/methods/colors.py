@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from anystyle.contracts import Mixture, Renderer
+from anystyle.contracts import LinearView, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.cache import LRUCache
@@ -24,7 +24,7 @@ EVIDENCE, NEIGHBORS = 1.0, 8
 COUNTED = 50_000
 """Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
 KEPT = 1 << 30
-"""Bytes of mixtures that are kept in memory; the others are made again each time."""
+"""Bytes of linear views that are kept in memory; the others are made again each time."""
 MIN_CONFIDENCE = 1e-3
 """Confidence of a pixel whose Gaussians all appear larger in another view."""
 
@@ -146,11 +146,11 @@ def _conjugate_gradients(
     """
     inverse = 1 / (system.weights + pull)[:, None]
     colors = means
-    residual = system.backproject(lambda mixture, view: targets[view] - mixture.background - mixture(colors))
+    residual = system.backproject(lambda linear, view: targets[view] - linear.background - linear(colors))
     direction = inverse * residual
     energy = (residual * direction).sum(0)  # 3
     for step in range(steps):
-        curvature = system.backproject(lambda mixture, _, change=direction: mixture(change)) + pull[:, None] * direction
+        curvature = system.backproject(lambda linear, _, change=direction: linear(change)) + pull[:, None] * direction
         length = energy / (direction * curvature).sum(0).clamp_min(1e-20)
         colors = colors + length * direction
         if step + 1 == steps:
@@ -161,8 +161,8 @@ def _conjugate_gradients(
     return colors
 
 
-class _Differentiated(Mixture):
-    """The mixture of any renderer that is differentiable in colours: a backward pass is its transpose."""
+class _Differentiated(LinearView):
+    """The linear view of any renderer that is differentiable in colours: a backward pass is its transpose."""
 
     def __init__(self, gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> None:
         def render(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
@@ -187,7 +187,7 @@ class _Differentiated(Mixture):
 
 @dataclass(frozen=True)
 class _System:
-    """The mixtures ``A`` of some views.
+    """The linear views ``A`` of some views.
 
     With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: the weights of
     squared errors.
@@ -213,50 +213,51 @@ class _System:
             most = most.maximum(covered)
 
         def share(view: int) -> Float[Tensor, "1 H W"]:
-            return self.mixture(view)((largest == view).to(most)[:, None].expand(-1, 3))[:1].clamp(0, 1)
+            return self.linear(view)((largest == view).to(most)[:, None].expand(-1, 3))[:1].clamp(0, 1)
 
         return replace(self, confidence=tuple((share(view) + MIN_CONFIDENCE).square() for view in self.views))
 
-    def mixture(self, view: int) -> Mixture:
+    def linear(self, view: int) -> LinearView:
         """``A`` of one view."""
         kept, camera = self._kept, self.cameras.select([view])
         key = _bytes(camera)
         if key in kept:
             return kept[key]
-        made = self.renderer.mixture(self.gaussians, camera) or _Differentiated(self.gaussians, camera, self.renderer)
+        given = self.gaussians, camera
+        made = self.renderer.linear_view(*given) or _Differentiated(*given, self.renderer)
         if sum(each.nbytes for each in kept.values()) + made.nbytes <= KEPT:
             kept[key] = made
         return made
 
     def forget_others(self, views: list[int]) -> None:
-        """Make room in memory: only mixtures of some views will be needed."""
+        """Make room in memory: only linear views of some views will be needed."""
         needed = {_bytes(self.cameras.select([view])) for view in views}
         for key in self._kept.keys() - needed:
             del self._kept[key]
 
     @property
-    def _kept(self) -> dict[bytes, Mixture]:
+    def _kept(self) -> dict[bytes, LinearView]:
         key = (*_geometry(self.gaussians), self.cameras.size, id(self.renderer))
-        return _MIXTURES.get(key, lambda: (self.gaussians, self.renderer, {}))[2]
+        return _VIEWS.get(key, lambda: (self.gaussians, self.renderer, {}))[2]
 
     def covered(self, view: int) -> Float[Tensor, " N"]:
         """How many pixels of one view each Gaussian covers."""
-        return self.mixture(view).transposed(self.gaussians.means.new_ones(3, *self.cameras.size))[:, 0]
+        return self.linear(view).transposed(self.gaussians.means.new_ones(3, *self.cameras.size))[:, 0]
 
     def change_by(self, view: int, higher: Float[Tensor, "N K 3"]) -> Float[Tensor, "3 H W"]:
         """What harmonics above degree 0 add to a view of grey."""
-        harmonics, mixture = F.pad(higher, (0, 0, 1, 0))[None], self.mixture(view)
+        harmonics, linear = F.pad(higher, (0, 0, 1, 0))[None], self.linear(view)
         with torch.no_grad():
             render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
-        return render.color[0, 0] - mixture.background - mixture(torch.full_like(higher[:, 0], 0.5))
+        return render.color[0, 0] - linear.background - linear(torch.full_like(higher[:, 0], 0.5))
 
-    def backproject(self, pixels: Callable[[Mixture, int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:
+    def backproject(self, pixels: Callable[[LinearView, int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:
         """``Aᵀ`` of what ``pixels`` gives for each view."""
         total = torch.zeros_like(self.gaussians.means[0])
         for view in self.views:
-            mixture = self.mixture(view)
-            seen = pixels(mixture, view)
-            total += mixture.transposed(seen if self.confidence is None else seen * self.confidence[view])
+            linear = self.linear(view)
+            seen = pixels(linear, view)
+            total += linear.transposed(seen if self.confidence is None else seen * self.confidence[view])
         return total
 
     @cached_property
@@ -279,7 +280,7 @@ class _System:
 _SYSTEMS: LRUCache[tuple[object, ...], _System] = LRUCache(1)
 """That of the last scene: its weights and neighbours serve every style."""
 _COVERS: LRUCache[tuple[object, ...], tuple[_System, list[int]]] = LRUCache(1)
-_MIXTURES: LRUCache[tuple[object, ...], tuple[Gaussians, Renderer, dict[bytes, Mixture]]] = LRUCache(1)
+_VIEWS: LRUCache[tuple[object, ...], tuple[Gaussians, Renderer, dict[bytes, LinearView]]] = LRUCache(1)
 """Those of the last scene by their camera."""
 
 

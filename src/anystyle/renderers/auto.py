@@ -4,7 +4,7 @@ import logging
 from dataclasses import asdict, dataclass
 from functools import cache
 
-from anystyle.contracts import Mixture, Renderer
+from anystyle.contracts import LinearView, Renderer
 from anystyle.registry.build import build
 from anystyle.registry.catalog import PluginError, catalog
 from anystyle.renderers.rasterizer import RendererOptions
@@ -23,8 +23,8 @@ class AutoRenderer(RendererOptions, Renderer):
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         return self._best(gaussians)(gaussians, cameras)
 
-    def mixture(self, gaussians: Gaussians, camera: Cameras) -> Mixture | None:
-        return self._best(gaussians).mixture(gaussians, camera)
+    def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView | None:
+        return self._best(gaussians).linear_view(gaussians, camera)
 
     def _best(self, gaussians: Gaussians) -> Renderer:
         device = gaussians.means.device.type
