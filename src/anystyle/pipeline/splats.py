@@ -33,7 +33,7 @@ DISTANCE = 3.0
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
 BYTES, BYTES_A_PIXEL = 800, 250
-"""Memory that restyling takes: of each Gaussian, and of each pixel of the views; measured with renderer=cpu, degree 3."""
+"""Memory that restyling takes: of each Gaussian of degree 3, and of each pixel of the views, with renderer=cpu."""
 
 
 def encode_saved(
