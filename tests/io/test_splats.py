@@ -11,6 +11,7 @@ from plyfile import PlyData
 
 from anystyle.contracts import Format
 from anystyle.errors import UserError
+from anystyle.formats.ply import comments
 from anystyle.io import ply
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.saved import read_saved
@@ -91,14 +92,6 @@ def test_red_green_blue_stand_for_the_constant_of_harmonics(kind, top, tmp_path,
         assert torch.equal(Gaussians.load(tmp_path / "again.ply").harmonics, found.harmonics.flip(1))
 
 
-def test_discs_of_2dgs_are_flat(tmp_path, caplog):
-    values = columns()
-    del values["scale_2"]
-    found = Gaussians.load(write_ply(tmp_path / "scene.ply", values))
-    assert bool((found.scales[..., 2] == 0).all()) and torch.allclose(found.scales[..., :2], torch.tensor(-4.0).exp())
-    assert len(caplog.messages) == 1 and "without scale_2" in caplog.messages[0]
-
-
 def globe(path, order="<", **header):
     """Points a centimetre apart in a row, at coordinates of UTM."""
     values = columns() | {"x": 4.5e6 + 0.01 * np.arange(300), "y": 5.4e5 + np.zeros(300)}
@@ -132,7 +125,7 @@ def test_points_on_the_globe_stay_apart_and_get_their_offset_back(order, tmp_pat
         if name != "spz":
             np.testing.assert_allclose(again.styles[0][1].means, scene.styles[0][1].means, rtol=0, atol=1e-6)
     np.testing.assert_allclose(positions(tmp_path / "out.ply"), truth, rtol=0, atol=1e-6)
-    assert ply.recolor(path, scene.styles[0][1].harmonics[0], tmp_path / "out.ply")
+    assert ply.recolor(path, scene.styles[0][1].harmonics[0], tmp_path / "out.ply", comments(scene))
     np.testing.assert_allclose(positions(tmp_path / "out.ply"), truth, rtol=0, atol=1e-9)
 
 
@@ -174,7 +167,7 @@ def test_activated_values_are_told_and_read_when_that_is_said(tmp_path, caplog):
         read_saved(write_ply(tmp_path / "logarithms.ply", columns()), activated=True)
 
 
-@pytest.mark.parametrize("name", ["ply", "splat", "spz", "sog", "glb", "usda", "html", "ckpt"])
+@pytest.mark.parametrize("name", ["ply", "splat", "ksplat", "spz", "sog", "glb", "usda", "html", "ckpt"])
 def test_writers_take_extremes_without_a_word(name, tmp_path):
     """Opaque, flat and vast Gaussians, and a scene that is a point."""
     values = {key: column[:5].copy() for key, column in columns().items()}

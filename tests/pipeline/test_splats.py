@@ -19,7 +19,7 @@ from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.splats import encode_saved
 from anystyle.pipeline.stages import Stages
-from anystyle.types import Gaussians, StyledScene
+from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.known_scene import photographed_wall, rig, wall
 from tests.support.resident import sampled_peak
@@ -149,10 +149,11 @@ def test_harmonics_that_are_kept_are_taken_into_account():
 def test_memory_is_told_and_refused_before(monkeypatch):
     device = torch.device("cpu")
     monkeypatch.setattr(splats, "available", lambda device: 4 << 30)
-    line = splats.require_splat(1_000_000, 24, device)
-    assert line == "1,000,000 Gaussians from 24 views take about 2.1 GiB"
-    with pytest.raises(ValueError, match=r"set fewer views with splat\.cameras"):
-        splats.require_splat(3_000_000, 24, device)
+    cameras = Cameras(torch.zeros(1, 24, 4, 4), torch.zeros(1, 24, 3, 3), (384, 384))
+    line = splats.require_splat(1_000_000, cameras, device)
+    assert line == "1,000,000 Gaussians from 24 views take about 1.6 GiB"
+    with pytest.raises(ValueError, match=r"fewer Gaussians, or fewer views with splat\.cameras"):
+        splats.require_splat(5_000_000, cameras, device)
 
 
 def test_what_it_takes_is_what_was_told():
@@ -168,7 +169,7 @@ def test_what_it_takes_is_what_was_told():
     fit_colors(scene, cameras, targets, RENDERER, steps=0)  # compiled before
     idle = sampled_peak(lambda: None)
     used = sampled_peak(lambda: fit_colors(scene, cameras, targets, RENDERER, steps=1)) - idle
-    assert used < count * (splats.BYTES + splats.BYTES_A_VIEW * views)
+    assert used < count * splats.BYTES + views * 64**2 * splats.BYTES_A_PIXEL
 
 
 def test_results_are_restyled_at_the_size_they_were_made_at(tmp_path):

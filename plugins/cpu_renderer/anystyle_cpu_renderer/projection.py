@@ -339,7 +339,7 @@ def project_backward(
     """
     means, harmonics, d_means, d_harmonics = scene.means, scene.harmonics, into.means, into.harmonics
     camera, limits, tables = view
-    splats, owners, ranks = sorted_splats.data, sorted_splats.owners, sorted_splats.ranks
+    splats, owners, rows = sorted_splats.data, sorted_splats.owners, sorted_splats.rows
     r, t = camera[:9], camera[9:12]
     fx, fy = camera[15], camera[16]
     low_u, high_u, low_v, high_v = frustum(camera, limits)
@@ -347,7 +347,8 @@ def project_backward(
     basis, slopes = np.full(count, tables[0, 0, 0]), np.zeros((count, 3))
     buffers = basis, slopes, np.empty(3)
     for i in range(start, stop):
-        g, at = owners[i], ranks[i]
+        at = rows[i]
+        g = owners[at]
         # A channel that was clamped at 0 has no gradient; the splat stores the clamped value.
         red = float(moments[at, 0]) if splats[at, RED] > 0.0 else 0.0
         green = float(moments[at, 1]) if splats[at, GREEN] > 0.0 else 0.0

@@ -47,32 +47,37 @@ class SortedSplats(NamedTuple):
     """The splats of one view.
 
     Args:
-        data: ``[n, SPLAT]``, nearest first.
-        owners: ``[n]``: the Gaussian of each splat, ascending.
-        ranks: ``[n]``: the row in ``data`` of the splat of each of ``owners``.
-        lists: Splats of each row of tiles, nearest first, concatenated.
-        offsets: Where the list of each row of tiles begins and ends.
+        data: ``[N, SPLAT]``, with room for every Gaussian.
+        rows: ``[n]``: the rows of ``data`` that are splats, in the order of the Gaussians.
+        owners: ``[N]``: the Gaussian of each row of ``data``.
+        copies: ``[m, SPLAT]``: the splats of each row of tiles, concatenated, in the order of the Gaussians.
+        places: ``[m]``: the row of ``data`` that each is a copy of.
+        offsets: Where the copies for each row of tiles begin and end.
     """
 
     data: Array
+    rows: Array
     owners: Array
-    ranks: Array
-    lists: Array
+    copies: Array
+    places: Array
     offsets: Array
 
-    def members(self, row: int) -> Array:
-        """Indices of the splats in a row of tiles, nearest first."""
-        return self.lists[self.offsets[row] : self.offsets[row + 1]]
+    def of(self, row: int) -> slice:
+        """Where the copies for a row of tiles are."""
+        return slice(self.offsets[row], self.offsets[row + 1])
 
     def tiles(self, row: int, size: tuple[int, ...]) -> Tiles:
         """The splats of each tile in a row of tiles of an image of a height and width."""
-        offsets, top = np.empty(-(-size[1] // WIDTH) + 1, np.int64), row * HEIGHT
+        offsets, top, splats = np.empty(-(-size[1] // WIDTH) + 1, np.int64), row * HEIGHT, self.copies[self.of(row)]
         bottom = min(HEIGHT, size[0] - top) - 1
-        return Tiles(tiles_of(self.data, self.members(row), top, bottom, size[1], offsets), offsets)
+        return Tiles(tiles_of(splats, nearest_first(splats), top, bottom, size[1], offsets), offsets)
 
 
 HEIGHT, WIDTH = 32, 16
 """Of a tile in pixels: its planes fit into the L1 cache. A job is one row of tiles."""
+
+BLOCK = 32
+"""Splats of a tile that are blended before it is looked whether all its pixels are full."""
 
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 ALMOST = np.float32(0.9999)
@@ -82,12 +87,12 @@ MARGIN = np.float32(0.01)
 
 
 @compiled
-def nearest_first(splats: Array, rows: Array) -> Array:
-    """Indices into ``rows`` of splats, nearest first: a stable radix sort, for bits of positive floats are ordered."""
-    n = rows.shape[0]
+def nearest_first(splats: Array) -> Array:
+    """Indices of splats, nearest first: a stable radix sort, for bits of positive floats are ordered."""
+    n = splats.shape[0]
     depths = np.empty(n, np.float32)
     for i in range(n):
-        depths[i] = splats[rows[i], 9]
+        depths[i] = splats[i, 9]
     keys = depths.view(np.uint32)
     source, target = np.arange(n).astype(np.int32), np.empty(n, np.int32)
     counts = np.empty(2048, np.int64)
@@ -108,16 +113,6 @@ def nearest_first(splats: Array, rows: Array) -> Array:
 
 
 @compiled
-def arrange(splats: Array, rows: Array, order: Array, sorted_splats: Array, ranks: Array) -> None:
-    """Copy ``rows[order]`` of splats to ``sorted_splats``, and write the new index of each of ``rows`` to ``ranks``."""
-    for i in range(rows.shape[0]):
-        row = rows[order[i]]
-        for k in range(splats.shape[1]):
-            sorted_splats[i, k] = splats[row, k]
-        ranks[order[i]] = i
-
-
-@compiled
 def span(center: float, half: float, side: int, count: int) -> tuple[int, int]:
     """The first and the last of ``count`` tiles of a side that an interval of pixels may reach."""
     first = max((center - half - 1.0) / side, 0.0)
@@ -126,24 +121,27 @@ def span(center: float, half: float, side: int, count: int) -> tuple[int, int]:
 
 
 @compiled
-def rows_of(splats: Array, offsets: Array) -> Array:
-    """List the splats of every row of tiles, in the order of ``splats``."""
-    rows = offsets.shape[0] - 1
+def by_row(data: Array, rows: Array, offsets: Array) -> tuple[Array, Array]:
+    """Copy the splats of each row of tiles next to each other: sorting and blending a row stays in the cache."""
+    last_row = offsets.shape[0] - 1
     offsets[:] = 0
-    for i in range(splats.shape[0]):
-        first, last = span(float(splats[i, 1]), float(splats[i, 11]), HEIGHT, rows)
+    for i in range(rows.shape[0]):
+        first, last = span(float(data[rows[i], 1]), float(data[rows[i], 11]), HEIGHT, last_row)
         for row in range(first, last + 1):
             offsets[row + 1] += 1
-    for row in range(rows):
+    for row in range(last_row):
         offsets[row + 1] += offsets[row]
     cursor = offsets[:-1].copy()
-    lists = np.empty(offsets[rows], np.int32)
-    for i in range(splats.shape[0]):
-        first, last = span(float(splats[i, 1]), float(splats[i, 11]), HEIGHT, rows)
+    copies, places = np.empty((offsets[last_row], data.shape[1]), np.float32), np.empty(offsets[last_row], np.int32)
+    for i in range(rows.shape[0]):
+        at = rows[i]
+        first, last = span(float(data[at, 1]), float(data[at, 11]), HEIGHT, last_row)
         for row in range(first, last + 1):
-            lists[cursor[row]] = i
+            places[cursor[row]] = at
+            for k in range(data.shape[1]):
+                copies[cursor[row], k] = data[at, k]
             cursor[row] += 1
-    return lists
+    return copies, places
 
 
 @compiled
@@ -160,41 +158,32 @@ def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: floa
 
 
 @compiled
-def tiles_of(splats: Array, members: Array, top: int, bottom: int, width: int, offsets: Array) -> Array:
-    """List the splats of every tile in a row of tiles.
+def tiles_of(splats: Array, order: Array, top: int, bottom: int, width: int, offsets: Array) -> Array:
+    """List the splats of every tile in a row of tiles, in an order.
 
-    ``[entries, 4]``: the splat, its index in ``members``, the first row of the tile that it covers, one past the last.
+    ``[entries, 3]``: the splat, the first row of the tile that it covers, one past the last, which is the same for a
+    splat that only seemed to reach the tile.
     """
     columns = offsets.shape[0] - 1
-    most = 0
-    for i in range(members.shape[0]):
-        first, last = span(float(splats[members[i], 0]), float(splats[members[i], 10]), WIDTH, columns)
-        most += max(last + 1 - first, 0)
-    entries = np.empty((most, 5), np.int32)
     offsets[:] = 0
-    number = 0
-    for i in range(members.shape[0]):
-        g = members[i]
+    for g in range(splats.shape[0]):
+        first, last = span(float(splats[g, 0]), float(splats[g, 10]), WIDTH, columns)
+        for column in range(first, last + 1):
+            offsets[column + 1] += 1
+    for column in range(columns):
+        offsets[column + 1] += offsets[column]
+    cursor, lists = offsets[:-1].copy(), np.empty((offsets[columns], 3), np.int32)
+    for i in range(order.shape[0]):
+        g = order[i]
         first, last = span(float(splats[g, 0]), float(splats[g, 10]), WIDTH, columns)
         y = np.float32(splats[g, 1] - top - 0.5)
         for column in range(first, last + 1):
             x = np.float32(splats[g, 0] - column * WIDTH - 0.5)
             border = min(WIDTH, width - column * WIDTH) - 1
-            low, high = reach(splats, g, x, y, np.float32(border), np.float32(bottom))
-            if high > low:
-                row = entries[number]
-                row[0], row[1], row[2], row[3], row[4] = g, i, low, high, column
-                offsets[column + 1] += 1
-                number += 1
-    for column in range(columns):
-        offsets[column + 1] += offsets[column]
-    cursor = offsets[:-1].copy()
-    lists = np.empty((number, 4), np.int32)
-    for i in range(number):
-        at = cursor[entries[i, 4]]
-        for k in range(4):
-            lists[at, k] = entries[i, k]
-        cursor[entries[i, 4]] += 1
+            entry = lists[cursor[column]]
+            entry[0] = g
+            entry[1], entry[2] = reach(splats, g, x, y, np.float32(border), np.float32(bottom))
+            cursor[column] += 1
     return lists
 
 
@@ -243,19 +232,19 @@ def blend(splats: Array, tiles: Tiles, top: int, cap: float, image: Array, last:
 
 
 @compiled
-def gather(splats: Array, entries: Array, count: int, top: int, left: int) -> Array:
-    """Copy the first entries of a tile into contiguous memory, which hides the latency of scattered reads.
+def gather(splats: Array, entries: Array, start: int, stop: int, top: int, left: int) -> Array:
+    """Copy entries of a tile into contiguous memory, which hides the latency of scattered reads.
 
-    ``[count, 10]``: column and row from the centre of the tile's first pixel, conic with its diagonal halved, opacity,
-    colour and depth.
+    ``[stop - start, 10]``: column and row from the centre of the tile's first pixel, conic with its diagonal halved,
+    opacity, colour and depth.
     """
-    near = np.empty((count, 10), np.float32)
-    for e in range(count):
-        g = np.uint64(entries[e, 0])
-        near[e, 0], near[e, 1] = splats[g, 0] - left - 0.5, splats[g, 1] - top - 0.5
-        near[e, 2], near[e, 3], near[e, 4] = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4]
+    near = np.empty((stop - start, 10), np.float32)
+    for e in range(start, stop):
+        g, row = np.uint64(entries[e, 0]), e - start
+        near[row, 0], near[row, 1] = splats[g, 0] - left - 0.5, splats[g, 1] - top - 0.5
+        near[row, 2], near[row, 3], near[row, 4] = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4]
         for k in range(5, 10):
-            near[e, k] = splats[g, k]
+            near[row, k] = splats[g, k]
     return near
 
 
@@ -271,12 +260,16 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
         tile[4, i] = ONE if (i // WIDTH < tall) & (i % WIDTH < wide) else ZERO
         tile[5, i] = -ONE
         tile[6, i], tile[7, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
-    near = gather(splats, entries, entries.shape[0], top, left)
+    near = gather(splats, entries, 0, 0, top, left)
     for entry in range(entries.shape[0]):
-        index, e = np.float32(entry), np.uint64(entry)
+        if entry % BLOCK == 0:
+            if passing(tile[4]) == ZERO:
+                break
+            near = gather(splats, entries, entry, min(entry + BLOCK, entries.shape[0]), top, left)
+        index, e = np.float32(entry), np.uint64(entry % BLOCK)
         x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
         red, green, blue, depth = near[e, 6], near[e, 7], near[e, 8], near[e, 9]
-        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
+        for i in range(np.uint64(entries[entry, 1]) * WIDE, np.uint64(entries[entry, 2]) * WIDE):
             dx, dy = tile[6, i] - x, tile[7, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             alpha = min(cap, opacity * falloff(sigma))
@@ -291,8 +284,6 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             tile[3, i] += weight * depth
             tile[4, i] = -abs(before) if full else after
             tile[5, i] = tile[5, i] if full else index
-        if entry % 16 == 15 and passing(tile) == ZERO:
-            break
     for j in range(tall):
         for i in range(wide):
             at = j * WIDTH + i
@@ -302,12 +293,86 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             last[top + j, left + i] = int(tile[5, at])
 
 
+@compiled
+def shares(splats: Array, owners: Array, tiles: Tiles, top: int, cap: float, transmittance: Array) -> tuple:
+    """The share of each Gaussian in each pixel of one row of tiles, as rows of a sparse matrix.
+
+    Writes ``transmittance [H, W]``; ``owners`` are the Gaussians of ``splats``. Returns where the row of each pixel
+    ends, and the columns and values of its entries.
+    """
+    lists, offsets = tiles
+    width = transmittance.shape[1]
+    tall = min(HEIGHT, transmittance.shape[0] - top)
+    places, columns, values = np.empty(1 << 16, np.int32), np.empty(1 << 16, np.int32), np.empty(1 << 16, np.float32)
+    number = 0
+    # Planes: transmittance (negative once the pixel is full), the share of the current splat, column, row.
+    tile = np.empty((4, HEIGHT * WIDTH), np.float32)
+    for column in range(offsets.shape[0] - 1):
+        entries = lists[offsets[column] : offsets[column + 1]]
+        left, wide = column * WIDTH, min(WIDTH, width - column * WIDTH)
+        for i in range(HEIGHT * WIDTH):
+            tile[0, i] = ONE if (i // WIDTH < tall) & (i % WIDTH < wide) else ZERO
+            tile[2, i], tile[3, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+        near = gather(splats, entries, 0, 0, top, left)
+        for entry in range(entries.shape[0]):
+            if entry % BLOCK == 0:
+                if passing(tile[0]) == ZERO:
+                    break
+                near = gather(splats, entries, entry, min(entry + BLOCK, entries.shape[0]), top, left)
+            e, first, last = (
+                np.uint64(entry % BLOCK),
+                np.uint64(entries[entry, 1]) * WIDE,
+                np.uint64(entries[entry, 2]) * WIDE,
+            )
+            x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
+            for i in range(first, last):
+                dx, dy = tile[2, i] - x, tile[3, i] - y
+                sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
+                alpha = min(cap, opacity * falloff(sigma))
+                alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) else ZERO
+                before = tile[0, i]
+                after = before - before * alpha
+                full = after <= MIN_TRANSMITTANCE
+                tile[1, i] = ZERO if full else alpha * before
+                tile[0, i] = -abs(before) if full else after
+            if number + HEIGHT * WIDTH > values.shape[0]:
+                places, columns, values = longer(places), longer(columns), longer(values)
+            owner = owners[entries[entry, 0]]
+            for i in range(first, last):
+                if tile[1, i] > ZERO:
+                    places[number], columns[number] = np.int32(i) // WIDTH * width + left + np.int32(i) % WIDTH, owner
+                    values[number] = tile[1, i]
+                    number += 1
+        for j in range(tall):
+            for i in range(wide):
+                transmittance[top + j, left + i] = abs(tile[0, j * WIDTH + i])
+    ends = np.zeros(tall * width + 1, np.int64)
+    for k in range(number):
+        ends[places[k] + 1] += 1
+    for i in range(tall * width):
+        ends[i + 1] += ends[i]
+    cursor, sorted_columns, sorted_values = ends[:-1].copy(), np.empty(number, np.int32), np.empty(number, np.float32)
+    for k in range(number):
+        at = cursor[places[k]]
+        sorted_columns[at], sorted_values[at] = columns[k], values[k]
+        cursor[places[k]] += 1
+    return ends[1:], sorted_columns, sorted_values
+
+
+@compiled
+def longer(values: Array) -> Array:
+    """The same values in an array of twice the length."""
+    result = np.empty(2 * values.shape[0], values.dtype)
+    result[: values.shape[0]] = values
+    return result
+
+
 @summed
-def passing(tile: Array) -> np.float32:
+def passing(transmittance: Array) -> np.float32:
     """The sum of transmittance over the pixels of a tile that are not full."""
     value = ZERO
     for i in range(HEIGHT * WIDTH):
-        value += max(tile[4, i], ZERO)
+        value += max(transmittance[i], ZERO)
     return value
 
 
@@ -329,11 +394,11 @@ def blend_backward(
 
 
 @compiled
-def scatter(members: Array, row_moments: Array, moments: Array) -> None:
-    """Add the moments ``[m, MOMENTS]`` of the splats ``members`` of one row of tiles to those of all splats."""
-    for i in range(members.shape[0]):
+def scatter(places: Array, row_moments: Array, moments: Array) -> None:
+    """Add the moments ``[m, MOMENTS]`` of the copies of one row of tiles to those of all splats."""
+    for i in range(places.shape[0]):
         for k in range(MOMENTS):
-            moments[members[i], k] += row_moments[i, k]
+            moments[places[i], k] += row_moments[i, k]
 
 
 @compiled
@@ -368,13 +433,13 @@ def blend_tile_backward(
 ) -> None:
     """Accumulate gradients of the splats ``entries`` of one tile; arguments as in :func:`blend_backward`."""
     tile, deepest = tile_backward(top, left, picture)
-    near = gather(splats, entries, deepest + 1, top, left)
+    near = gather(splats, entries, 0, deepest + 1, top, left)
     for entry in range(deepest, -1, -1):
         index, e = np.float32(entry), np.uint64(entry)
         x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
         red, green, blue, depth = near[e, 6], near[e, 7], near[e, 8], near[e, 9]
         d_red = d_green = d_blue = d_depth = m0 = mx = my = mxx = mxy = myy = ZERO
-        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
+        for i in range(np.uint64(entries[entry, 1]) * WIDE, np.uint64(entries[entry, 2]) * WIDE):
             dx, dy = tile[7, i] - x, tile[8, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             covered = opacity * falloff(sigma)
@@ -399,7 +464,7 @@ def blend_tile_backward(
             mxx += slope * dx * dx
             mxy += slope * dx * dy
             myy += slope * dy * dy
-        part = np.uint64(entries[entry, 1])
+        part = np.uint64(entries[entry, 0])
         moments[part, 0] += d_red
         moments[part, 1] += d_green
         moments[part, 2] += d_blue
@@ -418,12 +483,12 @@ def color_tile_backward(
 ) -> None:
     """:func:`blend_tile_backward` for colours only, which is about half the work."""
     tile, deepest = tile_backward(top, left, picture)
-    near = gather(splats, entries, deepest + 1, top, left)
+    near = gather(splats, entries, 0, deepest + 1, top, left)
     for entry in range(deepest, -1, -1):
         index, e = np.float32(entry), np.uint64(entry)
         x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
         d_red = d_green = d_blue = ZERO
-        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
+        for i in range(np.uint64(entries[entry, 1]) * WIDE, np.uint64(entries[entry, 2]) * WIDE):
             dx, dy = tile[7, i] - x, tile[8, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             alpha = min(cap, opacity * falloff(sigma))
@@ -433,7 +498,7 @@ def color_tile_backward(
             d_red += alpha * before * tile[0, i]
             d_green += alpha * before * tile[1, i]
             d_blue += alpha * before * tile[2, i]
-        part = np.uint64(entries[entry, 1])
+        part = np.uint64(entries[entry, 0])
         moments[part, 0] += d_red
         moments[part, 1] += d_green
         moments[part, 2] += d_blue

@@ -5,9 +5,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.sparse import csr_array
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from anystyle.contracts import LinearView
 from anystyle.geometry.harmonics import degree_of, normalisation
 from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
@@ -28,19 +30,43 @@ class CpuRenderer(CappedRasterizer):
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         with torch.autocast("cpu", enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)
-            image = _Splatting.apply(
-                gaussians.means.float(),
-                gaussians.rotations.float(),
-                gaussians.scales.float(),
-                gaussians.opacities.float(),
-                gaussians.harmonics.float(),
-                cameras.camera_from_world.double(),
-                cameras.world_from_camera[..., :3, 3].double(),
-                cameras.intrinsics.double(),
-                _Settings(*cameras.size, self.near, self.far, self.eps2d, self.alpha_cap),
-            )
+            tensors, settings = self._inputs(gaussians, cameras)
+            image = _Splatting.apply(*tensors, settings)
         assert isinstance(image, Tensor)
         return image.to(gaussians.means.dtype)
+
+    def _inputs(self, gaussians: Gaussians, cameras: Cameras) -> "tuple[list[Tensor], _Settings]":
+        tensors = [tensor.float() for tensor in vars(gaussians).values()]
+        tensors += [cameras.camera_from_world.double(), cameras.world_from_camera[..., :3, 3].double()]
+        settings = _Settings(*cameras.size, self.near, self.far, self.eps2d, self.alpha_cap)
+        return [*tensors, cameras.intrinsics.double()], settings
+
+    @torch.no_grad()
+    def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView:
+        with torch.autocast("cpu", enabled=False):
+            gaussians, camera = at_least_single(gaussians, camera)
+            (scene,), ((view,),) = _read(*self._inputs(gaussians, camera))
+        with stages.workers() as run:
+            stages.shape(scene, run)
+            splats = stages.project(scene, view, camera.size[0], run)
+            return _Shares(
+                *stages.shares(splats, np.float32(self.alpha_cap), camera.size, len(scene.means), run), self.background
+            )
+
+
+class _Shares(LinearView):
+    """A sparse matrix: the share of each Gaussian in each pixel."""
+
+    def __init__(self, matrix: csr_array, transmittance: np.ndarray, background: tuple[float, float, float]) -> None:
+        self.matrix = matrix
+        self.background = torch.from_numpy(transmittance) * torch.tensor(background)[:, None, None]
+        self.nbytes = sum(part.nbytes for part in (matrix.data, matrix.indices, matrix.indptr))
+
+    def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+        return torch.from_numpy((self.matrix @ colors.detach().float().numpy()).T.reshape(self.background.shape))
+
+    def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
+        return torch.from_numpy(self.matrix.T @ pixels.detach().float().flatten(1).T.contiguous().numpy())
 
 
 class _Settings(NamedTuple):

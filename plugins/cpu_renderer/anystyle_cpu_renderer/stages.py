@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
 
 from anystyle_cpu_renderer import projection, raster
 from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
@@ -62,11 +63,9 @@ def project(scene: SceneArrays, view: CameraArrays, height: int, run: Mapper) ->
         return np.arange(start, start + projection.project(scene, view, start, stop, data, owners))
 
     rows = np.concatenate([np.empty(0, np.int64), *run(job, *chunks(scene.means))])
-    nearest, ranks = np.empty((len(rows), projection.SPLAT), np.float32), np.empty(len(rows), np.int32)
-    raster.arrange(data, rows, raster.nearest_first(data, rows), nearest, ranks)
     offsets = np.empty(-(-height // raster.HEIGHT) + 1, np.int64)
-    lists = raster.rows_of(nearest, offsets)
-    return SortedSplats(nearest, owners[rows], ranks, lists, offsets)
+    copies, places = raster.by_row(data, rows, offsets)
+    return SortedSplats(data, rows, owners, copies, places, offsets)
 
 
 def project_backward(
@@ -86,7 +85,7 @@ def project_backward(
         projection.project_backward(scene, view, start, stop, splats, moments, into, shaped, posed, d_camera)
         return d_camera
 
-    return sum(run(job, *chunks(splats.data)), np.zeros(projection.CAMERA))
+    return sum(run(job, *chunks(splats.rows)), np.zeros(projection.CAMERA))
 
 
 def blend(
@@ -96,27 +95,46 @@ def blend(
 
     def job(row: int) -> Tiles | None:
         tiles = splats.tiles(row, last.shape)
-        raster.blend(splats.data, tiles, row * raster.HEIGHT, cap, image, last)
+        raster.blend(splats.copies[splats.of(row)], tiles, row * raster.HEIGHT, cap, image, last)
         return tiles if keep else None
 
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
 
 
+def shares(
+    splats: SortedSplats, cap: np.float32, size: tuple[int, int], number: int, run: Mapper
+) -> tuple[csr_array, np.ndarray]:
+    """The share of each of ``number`` Gaussians in each pixel, ``[H W, number]``, and the transmittance ``[H, W]``."""
+    transmittance = np.empty(size, np.float32)
+
+    def job(row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        part, top = splats.of(row), row * raster.HEIGHT
+        owners = splats.owners[splats.places[part]]
+        return raster.shares(splats.copies[part], owners, splats.tiles(row, size), top, cap, transmittance)
+
+    ends, columns, values = zip(*run(job, range(len(splats.offsets) - 1)), strict=True)
+    starts = np.cumsum([0, *map(len, values)])
+    rows = np.concatenate([[0], *(end + start for end, start in zip(ends, starts, strict=False))]).astype(np.int32)
+    matrix = csr_array((np.concatenate(values), np.concatenate(columns), rows), (transmittance.size, number))
+    return matrix, transmittance
+
+
 def blend_backward(
     splats: SortedSplats, kept: list[Tiles], cap: np.float32, picture: BlendedView, shaped: bool, run: Mapper
 ) -> np.ndarray:
-    """The moments ``[n, MOMENTS]`` of splats, given the gradient of their image; lists tiles again if none are kept.
+    """The moments ``[N, MOMENTS]`` of splats, given the gradient of their image; lists tiles again if none are kept.
 
     Unless ``shaped``, only those of colours.
     """
 
     def job(row: int) -> np.ndarray:
         tiles = kept[row] if kept else splats.tiles(row, picture.last.shape)
-        moments = np.zeros((len(splats.members(row)), raster.MOMENTS), np.float32)
-        raster.blend_backward(splats.data, tiles, row * raster.HEIGHT, cap, picture, moments, shaped)
+        part = splats.copies[splats.of(row)]
+        moments = np.zeros((len(part), raster.MOMENTS), np.float32)
+        raster.blend_backward(part, tiles, row * raster.HEIGHT, cap, picture, moments, shaped)
         return moments
 
     moments = np.zeros((len(splats.data), raster.MOMENTS), np.float32)
     for row, part in enumerate(run(job, range(len(splats.offsets) - 1))):
-        raster.scatter(splats.members(row), part, moments)
+        raster.scatter(splats.places[splats.of(row)], part, moments)
     return moments

@@ -9,7 +9,7 @@ import json
 import zipfile
 from collections.abc import Mapping
 from math import ceil, isqrt, sqrt
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -86,14 +86,16 @@ class Sog(Format):
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SOG file") as remarks, zipfile.ZipFile(path) as archive:
-            meta = parse_json(_member(archive, "meta.json"), dict[str, Any], source=str(path), what="SOG file")
+            file = next((name for name in archive.namelist() if PurePosixPath(name).name == "meta.json"), "meta.json")
+            folder = PurePosixPath(file).parent
+            meta = parse_json(_member(archive, file), dict[str, Any], source=str(path), what="SOG file")
             # Version 1 has the count in the shape of the means, and no codebooks.
             count = room_for(path, meta["count"] if "count" in meta else meta["means"]["shape"][0])
 
             def pixels_of(part: str, file: int = 0, rows: int | None = count) -> NDArray[np.int64]:
                 """Pixels in RGBA, in a grid where the number of rows is not given: rows 4."""
                 name = meta[part]["files"][file]
-                with opened(_member(archive, name), f"{path}: {name}") as image:
+                with opened(_member(archive, str(folder / name)), f"{path}: {name}") as image:
                     require_pixels(image, 1 << 16)
                     pixels = np.asarray(image.convert("RGBA")).astype(np.int64)
                 if rows is None:

@@ -31,7 +31,10 @@ class Splat(Format):
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, ".splat file") as remarks:
-            rows = np.frombuffer(path.read_bytes(), ROW)
+            data = path.read_bytes()
+            if more := len(data) % ROW.itemsize:
+                remarks.guesses.append(f"{more} bytes behind the last Gaussian are left out")
+            rows = np.frombuffer(data, ROW, len(data) // ROW.itemsize)
             color = rows["color"] / 255
             harmonics = (color[:, None, :3] - 0.5) / CONSTANT
             turns = (rows["rotation"].astype(np.float64) - 128) / 128

@@ -4,8 +4,8 @@ Its axes are right, up, back, unless an extension of Adobe's says otherwise. It 
 """
 
 import gzip
+import io
 import struct
-import zlib
 from math import floor, isqrt, log2, sqrt
 from pathlib import Path
 
@@ -82,8 +82,8 @@ def _stated_up(data: bytes) -> str | None:
 def decoded(data: bytes, remarks: Remarks) -> Gaussians:
     """The Gaussians of a file's content."""
     packed = data.startswith(_START)
-    stream = zlib.decompressobj(31)
-    header = data if packed else stream.decompress(data, 16)
+    stream = gzip.GzipFile(fileobj=io.BytesIO(data))
+    header = data if packed else stream.read(16)
     magic, version, count, degree, bits, _, streams = struct.unpack_from("<IIIBBBB", header)
     if magic != MAGIC or packed != (version >= _ZSTD) or not 1 <= version <= _ZSTD or degree > 4:
         raise ValueError(
@@ -92,7 +92,7 @@ def decoded(data: bytes, remarks: Remarks) -> Gaussians:
     count, higher = room_for(remarks.path, count), (degree + 1) ** 2 - 1
     widths = [6 if version == _HALVES else 9, 1, 3, 3, 3 if version <= _FIRST_THREE else 4, 3 * higher]
     size = count * sum(widths)
-    content = _zstd(data, streams, size) if packed else stream.decompress(stream.unconsumed_tail, size)
+    content = _zstd(data, streams, size) if packed else stream.read(size)
     whole = np.frombuffer(content, np.uint8)
     if len(whole) != size:
         raise ValueError(f"{len(whole):,} bytes of {count:,} Gaussians, which take {size:,}")

@@ -31,12 +31,12 @@ def test_a_file_shows_the_same_picture_to_other_readers(name, tmp_path):
     assert psnr(picture(read), picture(gaussians)) > LEAST[name]
 
 
-@pytest.mark.parametrize("name", ["spz", "sog", "splat", "ply"])
+@pytest.mark.parametrize("name", ["spz", "sog", "splat", "ply", "ksplat"])
 def test_splat_transform_sees_the_same_picture(name, tmp_path):
     """Its PLY of a file is neither mirrored nor upside down."""
     if SPLAT_TRANSFORM is None:
         pytest.skip("splat-transform is not installed (npm install -g @playcanvas/splat-transform)")
-    gaussians = scene(1 if name == "splat" else 16)
+    gaussians = scene({"splat": 1, "ksplat": 9}.get(name, 16))
     export(gaussians, tmp_path / f"scene.{name}", name)
     read = read_with_splat_transform(tmp_path / f"scene.{name}", tmp_path)
     assert psnr(picture(read), picture(gaussians)) > LEAST[name] - 2

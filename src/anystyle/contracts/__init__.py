@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from anystyle.contracts.command import Command
     from anystyle.contracts.format import Format
     from anystyle.contracts.protocol import Evaluation, Protocol, Row
-    from anystyle.contracts.scene import Method, Reconstruction, Renderer, SceneSource, StyleSource
+    from anystyle.contracts.scene import LinearView, Method, Reconstruction, Renderer, SceneSource, StyleSource
     from anystyle.contracts.scores import Correspondence, Loss, Metric, accepts_tensors
     from anystyle.contracts.style import (
         Injector,
@@ -63,6 +63,7 @@ __all__ = [
     "GaussianHead",
     "GeometryHead",
     "Injector",
+    "LinearView",
     "Loss",
     "Method",
     "Metric",

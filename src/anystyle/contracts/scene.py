@@ -60,6 +60,23 @@ class StyleSource(Pluggable, ABC):
         """One style as a batch of one, on the CPU."""
 
 
+class LinearView(ABC):
+    """One view of one scene as a linear map of constant colours: a pixel mixes those of the Gaussians that it shows."""
+
+    background: Float[Tensor, "3 H W"]
+    """What is seen of the background."""
+    nbytes: int
+    """Memory that it takes."""
+
+    @abstractmethod
+    def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+        """The view of any numbers in place of colours, without the background, not clamped."""
+
+    @abstractmethod
+    def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
+        """For each Gaussian the sum of pixels, weighted by its shares in them."""
+
+
 class Renderer(Pluggable, ABC):
     """A differentiable 3DGS rasteriser."""
 
@@ -73,6 +90,10 @@ class Renderer(Pluggable, ABC):
     @abstractmethod
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
+
+    def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView | None:
+        """A view of one scene, if the renderer has a faster way to it and to its transpose than its gradient."""
+        return None
 
 
 class Reconstruction(Pluggable, ABC):

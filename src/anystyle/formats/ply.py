@@ -26,10 +26,7 @@ class Ply(Format):
         self.activated = activated
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        lines = [*scene.notes, "Vertical axis: " + " ".join(f"{part:g}" for part in _UP[scene.up])]
-        if any(scene.offset):
-            lines += [f"offset{axis} {value:.17g}" for axis, value in zip("xyz", scene.offset, strict=True)]
-        ply.write(scene.splats(), path, "\n".join(lines))
+        ply.write(scene.splats(), path, comments(scene))
 
     def read(self, path: Path) -> StyledScene:
         loaded, notes = ply.load(path, activated=self.activated), ply.comments(path)
@@ -42,6 +39,13 @@ class Ply(Format):
         return StyledScene(
             ((path.stem, gaussians),), notes=others, up=_axes(axes[-1] if axes else ""), offset=(x, y, z)
         )
+
+
+def comments(scene: StyledScene) -> list[str]:
+    """The comments of a file: notes, axes, and the offset if there is one."""
+    offset = [f"offset{axis} {value:.17g}" for axis, value in zip("xyz", scene.offset, strict=True)]
+    axes = "Vertical axis: " + " ".join(f"{part:g}" for part in _UP[scene.up])
+    return [*scene.notes, axes, *(offset if any(scene.offset) else [])]
 
 
 def _axes(comment: str) -> str:

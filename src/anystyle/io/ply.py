@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isqrt, sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,8 +40,8 @@ class Loaded(NamedTuple):
     offset: Offset
 
 
-def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; each line of ``notes``, such as licences, becomes a comment.
+def write(splats: Splats, path: Path, notes: Sequence[str] = ()) -> None:
+    """Write one scene with ``notes``, such as licences, as comments.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
@@ -56,21 +56,24 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
     columns = torch.cat([means, torch.zeros_like(means), colors, logits, sizes, quaternions], dim=1)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(degree)])[:, 0]
     with atomic_path(path) as temporary:
-        comments = notes.encode("ascii", "replace").decode().splitlines()
-        PlyData([PlyElement.describe(vertices, "vertex")], comments=comments).write(temporary)
+        PlyData([PlyElement.describe(vertices, "vertex")], comments=_ascii(notes)).write(temporary)
 
 
-def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
+def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path, notes: Sequence[str] | None = None) -> bool:
     """Copy the Gaussians of a file with other colours, without properties of higher degrees; False if compressed.
 
     All other properties keep their bits, but for positions from which :func:`load` takes an offset off. Comments are
-    those of the file that is replaced, where there is one.
+    ``notes``, or those of the source.
     """
     data = _parsed(source)
     if "chunk" in data:
         return False
-    loaded = _decoded(data, Remarks(source), activated=False)
-    before = data["vertex"].data[loaded.kept.numpy()]
+    remarks, before = Remarks(source), data["vertex"].data
+    if len(before) == len(harmonics):
+        _, offset = near(np.stack([before[axis] for axis in "xyz"], axis=1), remarks)
+    else:
+        _, shown, offset = _decoded(data, remarks, activated=False)
+        before = before[shown.numpy()]
     colors = _flat(harmonics.cpu()).numpy()
     names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
     given = {name: before.dtype[name] for name in before.dtype.names or ()}
@@ -79,14 +82,18 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
     after = np.empty(len(before), dtype=list(kinds.items()))
     for name in kinds:
         after[name] = colors[:, names.index(name)] if name in names else before[name]
-    for axis, moved in zip("xyz", loaded.offset, strict=True):
+    for axis, moved in zip("xyz", offset, strict=True):
         if moved:
             after[axis] -= moved
     elements = [element for element in data.elements if element.name != "vertex"]
-    comments = _parsed(path).comments if path.exists() else data.comments
+    comments = data.comments if notes is None else _ascii(notes)
     with atomic_path(path) as temporary:
         PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text, comments=comments).write(temporary)
     return True
+
+
+def _ascii(notes: Sequence[str]) -> list[str]:
+    return "\n".join(notes).encode("ascii", "replace").decode().splitlines()
 
 
 def _flat(harmonics: Float[Tensor, "N K 3"]) -> Float[Tensor, "N 3*K"]:
@@ -164,10 +171,18 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     except (KeyError, ValueError) as error:
         raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     columns = _with_constant(columns, remarks)
-    rest = sum(name.startswith("f_rest_") for name in columns)
-    if rest % 3:
-        raise UserError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
-    names = [name for name in _properties(_degree(rest // 3 + 1)) if name not in ("x", "y", "z", "nx", "ny", "nz")]
+    each, odd = divmod(sum(name.startswith("f_rest_") for name in columns), 3)
+    if odd:
+        raise UserError(f"{path} has {3 * each + odd} properties f_rest_*; a multiple of three is expected")
+    degree = isqrt(each + 1) - 1
+    higher = (degree + 1) ** 2 - 1
+    if higher < each:
+        remarks.guesses.append(
+            f"of {each} coefficients a colour in f_rest_*, the first {higher} are read, degree {degree}"
+        )
+    rest = [f"f_rest_{color * each + index}" for color in range(3) for index in range(higher)]
+    names = [name for name in _properties(0) if name not in ("x", "y", "z", "nx", "ny", "nz")]
+    names[3:3] = rest
     if {"scale_0", "scale_1"} <= columns.keys() and "scale_2" not in columns:
         names.remove("scale_2")
         remarks.guesses.append("without scale_2, its Gaussians are flat discs, as 2DGS writes them")
@@ -176,9 +191,10 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     means, offset = near(np.stack([columns[axis] for axis in "xyz"], axis=1), remarks)
     with np.errstate(over="ignore"):
         values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
-    constant, higher, opacity, scales, rotations = values.split([3, rest, 1, len(names) - 8 - rest, 4], dim=1)
-    harmonics = torch.cat([constant[:, None], higher.unflatten(1, (3, rest // 3)).mT], dim=1)
-    rows = Splats(torch.from_numpy(means), rotations, scales, opacity[:, 0], harmonics)
+    constant, others, opacity, scales, rotations = values.split([3, len(rest), 1, len(names) - 8 - len(rest), 4], dim=1)
+    harmonics = torch.cat([constant[:, None], others.unflatten(1, (3, higher)).mT], dim=1)
+    # Copies, so that the table of all numbers does not stay in memory.
+    rows = Splats(torch.from_numpy(means), rotations.clone(), scales.clone(), opacity[:, 0].clone(), harmonics)
     return Loaded(*visible(rows, remarks, logarithmic=True, activated=activated), offset)
 
 
@@ -229,7 +245,7 @@ def unpack(data: PlyData) -> dict[str, NDArray[Any]]:
         shift, top = ((21, 2047), (11, 1023), (0, 2047))[index]  # 11, 10 and 11 bits
         columns[axis] = between((vertex["packed_position"] >> shift & top) / top, axis)
         columns[f"scale_{index}"] = between((vertex["packed_scale"] >> shift & top) / top, f"scale_{axis}")
-    quaternions = smallest_three_to_wxyz(vertex["packed_rotation"])
+    quaternions = smallest_three_to_wxyz(vertex["packed_rotation"].astype(np.uint32))
     columns |= {f"rot_{index}": quaternions[:, index] for index in range(4)}
     *colors, alpha = ((vertex["packed_color"] >> shift & 255) / 255 for shift in (24, 16, 8, 0))
     for index, (channel, values) in enumerate(zip("rgb", colors, strict=True)):

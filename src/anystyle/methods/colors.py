@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from anystyle.contracts import Renderer
+from anystyle.contracts import LinearView, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.cache import LRUCache
@@ -22,9 +23,8 @@ EVIDENCE, NEIGHBORS = 1.0, 8
 ``NEIGHBORS`` that cover more."""
 COUNTED = 50_000
 """Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
-KEPT = 10_000_000
-"""Above this many pairs of Gaussians and views (about 100 bytes each), graphs are not retained and views are rendered
-again in each backward pass."""
+KEPT = 1 << 30
+"""Bytes of linear views that are kept in memory; the others are made again each time."""
 MIN_CONFIDENCE = 1e-3
 """Confidence of a pixel whose Gaussians all appear larger in another view."""
 
@@ -82,14 +82,14 @@ def fit_colors(
     system = _system(gaussians, cameras, renderer)
     higher = gaussians.harmonics[0, :, 1:] if keep else gaussians.harmonics[0, :, :0]
     if higher.shape[1]:
-        targets = torch.stack([targets[view] - system.change_by(view, higher) for view in range(len(targets))])
+        targets = torch.stack([target - system.change_by(view, higher) for view, target in enumerate(targets)])
     if largest:
         system = system.confident
     weights = system.weights
     known, nearest = system.neighbors
     if not known.any():
         return replace(gaussians, harmonics=torch.cat([gaussians.harmonics[0, :, :1], higher], dim=1)[None])
-    means = system.backproject(lambda view: targets[view]) / weights.clamp_min(MIN_WEIGHT)[:, None]  # N 3
+    means = system.backproject(lambda _, view: targets[view]) / weights.clamp_min(MIN_WEIGHT)[:, None]  # N 3
     missing = (1 - weights / EVIDENCE).clamp_min(0)
     means[~known] = means[~known].lerp(means[known][nearest].mean(1), missing[~known, None])
     pull = damping * weights + EVIDENCE * missing
@@ -114,13 +114,13 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
 
     def choose() -> tuple[_System, list[int]]:
         every = -(-gaussians.means.shape[1] // COUNTED)
-        views = range(cameras.intrinsics.shape[1])
-        pixels = torch.stack([system.covered_in(view)[::every].clone() for view in views])  # V N; lets go of the rest
+        pixels = torch.stack([system.covered(view)[::every].clone() for view in system.views])  # V N
         largest = pixels.amax(0)
         shown, so_far, chosen = pixels.mul_(2).minimum(largest), torch.zeros_like(largest), list[int]()
         while len(chosen) < min(most, len(shown)) and so_far.sum() < share * largest.sum():
             chosen.append(int(shown.maximum(so_far).sum(1).argmax()))
             so_far = so_far.maximum(shown[chosen[-1]])
+        system.forget_others(chosen)
         return system, sorted(chosen)
 
     return _COVERS.get((*_identity(system), share, most), choose)[1]
@@ -146,11 +146,11 @@ def _conjugate_gradients(
     """
     inverse = 1 / (system.weights + pull)[:, None]
     colors = means
-    residual = system.backproject(lambda view: targets[view] - system.render(view, colors))
+    residual = system.backproject(lambda linear, view: targets[view] - linear.background - linear(colors))
     direction = inverse * residual
     energy = (residual * direction).sum(0)  # 3
     for step in range(steps):
-        curvature = system.normal(direction) + pull[:, None] * direction
+        curvature = system.backproject(lambda linear, _, change=direction: linear(change)) + pull[:, None] * direction
         length = energy / (direction * curvature).sum(0).clamp_min(1e-20)
         colors = colors + length * direction
         if step + 1 == steps:
@@ -161,9 +161,33 @@ def _conjugate_gradients(
     return colors
 
 
+class _Differentiated(LinearView):
+    """The linear view of any renderer that is differentiable in colours: a backward pass is its transpose."""
+
+    def __init__(self, gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> None:
+        def render(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+            return renderer(replace(gaussians, harmonics=constant_from_rgb(colors)[None, :, None]), camera).color[0, 0]
+
+        # Colours far from both cuts: of those below 0, and of renders above 1.
+        self._render, self._gray = render, gaussians.means.new_full(gaussians.means.shape[1:], 0.5).requires_grad_()
+        with torch.enable_grad():
+            self._image = render(self._gray)
+        with torch.no_grad():
+            self.background = render(torch.zeros_like(self._gray))
+        self.nbytes = 100 * len(self._gray)  # measured
+
+    def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+        scale = colors.abs().amax(0).clamp_min(1e-20) / 0.45  # 3
+        with torch.no_grad():
+            return (self._render(0.5 + colors / scale) - self._image) * scale[:, None, None]
+
+    def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
+        return torch.autograd.grad(self._image, self._gray, pixels, retain_graph=True)[0]
+
+
 @dataclass(frozen=True)
 class _System:
-    """Renders as a linear map ``A`` of colours, without the background: a backward pass is ``Aᵀ``.
+    """The linear views ``A`` of some views.
 
     With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: the weights of
     squared errors.
@@ -174,83 +198,73 @@ class _System:
     renderer: Renderer
     confidence: tuple[Float[Tensor, "1 H W"], ...] | None = None
 
+    @property
+    def views(self) -> range:
+        return range(self.cameras.intrinsics.shape[1])
+
     @cached_property
     def confident(self) -> "_System":
         """The same with confidence in what a view shows larger than all others."""
-        ones = self.gray.new_ones(3, *self.cameras.size).detach()
-        views = range(len(self.gray_renders))
-        largest = torch.stack([self.transposed(view, ones)[:, 0] for view in views]).argmax(0)
+        most = self.covered(0)
+        largest = torch.zeros_like(most, dtype=torch.long)
+        for view in self.views[1:]:
+            covered = self.covered(view)
+            largest.masked_fill_(covered > most, view)
+            most = most.maximum(covered)
 
-        def largest_in(view: int) -> Float[Tensor, "1 H W"]:
-            shown = 0.5 + 0.45 * (largest == view).to(self.gray)[:, None].expand_as(self.gray)
-            with torch.no_grad():
-                return (self.render(view, shown) - self.gray_renders[view])[:1] / 0.45
+        def share(view: int) -> Float[Tensor, "1 H W"]:
+            return self.linear(view)((largest == view).to(most)[:, None].expand(-1, 3))[:1].clamp(0, 1)
 
-        confidence = tuple((largest_in(view).clamp(0, 1) + MIN_CONFIDENCE).square() for view in views)
-        system = replace(self, confidence=confidence)
-        vars(system).update(gray=self.gray, gray_renders=self.gray_renders)
-        return system
+        return replace(self, confidence=tuple((share(view) + MIN_CONFIDENCE).square() for view in self.views))
 
-    def covered_in(self, view: int) -> Float[Tensor, " N"]:
-        """How many pixels of one view each Gaussian covers; no graph is kept."""
-        return torch.autograd.grad(self.render(view, self.gray).sum(), self.gray)[0][:, 0]
+    def linear(self, view: int) -> LinearView:
+        """``A`` of one view."""
+        kept, camera = self._kept, self.cameras.select([view])
+        key = _bytes(camera)
+        if key in kept:
+            return kept[key]
+        given = self.gaussians, camera
+        made = self.renderer.linear_view(*given) or _Differentiated(*given, self.renderer)
+        if sum(each.nbytes for each in kept.values()) + made.nbytes <= KEPT:
+            kept[key] = made
+        return made
 
-    def render(self, view: int, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
-        """A view of colours in [0, 1], over the renderer's background."""
-        harmonics = constant_from_rgb(colors)[None, :, None]
-        return self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view])).color[0, 0]
-
-    @cached_property
-    def gray(self) -> Float[Tensor, "N 3"]:
-        """Colours far from both cuts: of those below 0, and of renders above 1."""
-        return self.gaussians.means.new_full((self.gaussians.means.shape[1], 3), 0.5).requires_grad_()
-
-    @cached_property
-    def gray_renders(self) -> list[Float[Tensor, "3 H W"]]:
-        """Each view of these colours, with the graph that every pass backward goes through where these are kept."""
-        with torch.set_grad_enabled(self.keeps_graphs):
-            return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
+    def forget_others(self, views: list[int]) -> None:
+        """Make room in memory: only linear views of some views will be needed."""
+        needed = {_bytes(self.cameras.select([view])) for view in views}
+        for key in self._kept.keys() - needed:
+            del self._kept[key]
 
     @property
-    def keeps_graphs(self) -> bool:
-        return len(self.gray) * self.cameras.intrinsics.shape[1] <= KEPT
+    def _kept(self) -> dict[bytes, LinearView]:
+        key = (*_geometry(self.gaussians), self.cameras.size, id(self.renderer))
+        return _VIEWS.get(key, lambda: (self.gaussians, self.renderer, {}))[2]
+
+    def covered(self, view: int) -> Float[Tensor, " N"]:
+        """How many pixels of one view each Gaussian covers."""
+        return self.linear(view).transposed(self.gaussians.means.new_ones(3, *self.cameras.size))[:, 0]
 
     def change_by(self, view: int, higher: Float[Tensor, "N K 3"]) -> Float[Tensor, "3 H W"]:
         """What harmonics above degree 0 add to a view of grey."""
-        harmonics = torch.cat([torch.zeros_like(higher[:, :1]), higher], dim=1)[None]
+        harmonics, linear = F.pad(higher, (0, 0, 1, 0))[None], self.linear(view)
         with torch.no_grad():
             render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
-        return render.color[0, 0] - self.gray_renders[view].detach()
+        return render.color[0, 0] - linear.background - linear(torch.full_like(higher[:, 0], 0.5))
 
-    def transposed(self, view: int, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
-        """``Aᵀ`` of one view's pixels."""
-        if self.confidence is not None:
-            pixels = pixels * self.confidence[view]
-        render = self.gray_renders[view] if self.keeps_graphs else self.render(view, self.gray)
-        return torch.autograd.grad(render, self.gray, pixels, retain_graph=self.keeps_graphs)[0]
-
-    def backproject(self, pixels: Callable[[int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:
+    def backproject(self, pixels: Callable[[LinearView, int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:
         """``Aᵀ`` of what ``pixels`` gives for each view."""
-        total = torch.zeros_like(self.gray)
-        for view in range(len(self.gray_renders)):
-            total += self.transposed(view, pixels(view))
+        total = torch.zeros_like(self.gaussians.means[0])
+        for view in self.views:
+            linear = self.linear(view)
+            seen = pixels(linear, view)
+            total += linear.transposed(seen if self.confidence is None else seen * self.confidence[view])
         return total
-
-    def normal(self, direction: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-        """``AᵀA`` of a change of colours, by the difference of two renders."""
-        scale = direction.abs().amax(0).clamp_min(1e-20) / 0.45  # 3
-
-        def change(view: int) -> Float[Tensor, "3 H W"]:
-            with torch.no_grad():
-                return self.render(view, 0.5 + direction / scale) - self.gray_renders[view]
-
-        return self.backproject(change) * scale
 
     @cached_property
     def weights(self) -> Float[Tensor, " N"]:
         """How many pixels each Gaussian covers in all views together."""
-        size = self.cameras.size
-        return self.backproject(lambda view: self.gray.new_ones(3, *size).detach())[:, 0]
+        ones = self.gaussians.means.new_ones(3, *self.cameras.size)
+        return self.backproject(lambda *_: ones)[:, 0]
 
     @cached_property
     def neighbors(self) -> tuple[Bool[Tensor, " N"], Int[Tensor, "M K"]]:
@@ -264,8 +278,10 @@ class _System:
 
 
 _SYSTEMS: LRUCache[tuple[object, ...], _System] = LRUCache(1)
-"""That of the last scene: its grey renders and weights serve every style."""
+"""That of the last scene: its weights and neighbours serve every style."""
 _COVERS: LRUCache[tuple[object, ...], tuple[_System, list[int]]] = LRUCache(1)
+_VIEWS: LRUCache[tuple[object, ...], tuple[Gaussians, Renderer, dict[bytes, LinearView]]] = LRUCache(1)
+"""Those of the last scene by their camera."""
 
 
 def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _System:
@@ -274,11 +290,16 @@ def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _Syst
 
 
 def _identity(system: _System) -> tuple[object, ...]:
+    return (*_geometry(system.gaussians), _bytes(system.cameras), system.cameras.size, id(system.renderer))
+
+
+def _geometry(gaussians: Gaussians) -> tuple[object, ...]:
     # What is cached holds its Gaussians, so that no others can lie where they do.
-    gaussians = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in vars(system.gaussians).values()]
-    cameras = system.cameras
-    seen = tuple(tensor.cpu().numpy().tobytes() for tensor in (cameras.world_from_camera, cameras.intrinsics))
-    return (*gaussians, seen, cameras.size, id(system.renderer))
+    return tuple((tensor.data_ptr(), tensor.shape, tensor._version) for tensor in vars(gaussians).values())
+
+
+def _bytes(cameras: Cameras) -> bytes:
+    return b"".join(tensor.cpu().numpy().tobytes() for tensor in (cameras.world_from_camera, cameras.intrinsics))
 
 
 def colors_alone(views: Views) -> Scene:

@@ -16,6 +16,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.errors import UserError
+from anystyle.formats.ply import comments
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
@@ -64,6 +65,13 @@ class Result:
         return self.gaussians.means.shape == self.results.restyler.unstyled.means.shape
 
     @property
+    def _only_colors(self) -> bool:
+        """Whether all but colours is as it was given."""
+        unstyled, geometry = self.results.restyler.unstyled, ("means", "rotations", "scales", "opacities")
+        alike = (torch.equal(getattr(self.gaussians, name), getattr(unstyled, name)) for name in geometry)
+        return self.results.export.up in (None, "opencv") and all(alike)
+
+    @property
     def report(self) -> dict[str, object]:
         """What was run on what, for ``report.json``."""
         encoded, results, style = self.encoded, self.results, self.style
@@ -109,23 +117,23 @@ class Result:
     def write(self, folder: Path) -> Column:
         """Write all files into a folder that has none of them, and return the column of a sheet over several styles."""
         column = (self.style.title, self.style.cell, thumbnails(self._write_scene(folder)))
-        self.results.write_sheet(folder, [column])
+        self.results.write_sheet(folder, [*self.results.before, column])
         write_json(folder / "report.json", self.report)
         return column
 
     def _write_scene(self, folder: Path) -> list[Image.Image]:
         gaussians, encoded, results, options = self.gaussians, self.encoded, self.results, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
-        scene, written = self.scene(), folder / "scene.ply"
-        for name in dict.fromkeys(["ply", *options.formats]):
-            if not self.alike or name not in results.common_formats:
-                export_styles(scene, folder / f"scene.{name}", name, up=options.up)
-        geometry = ("means", "rotations", "scales", "opacities")
-        unchanged = (torch.equal(getattr(gaussians, n), getattr(results.restyler.unstyled, n)) for n in geometry)
-        untouched = options.up in (None, "opencv") and all(unchanged)
-        if encoded.splat is not None and encoded.splat.suffix.lower() == written.suffix and untouched:
-            # A trip through float32 logarithms and back moves the last bits.
-            ply.recolor(encoded.splat, gaussians.harmonics[0], written)
+        scene, given = self.scene(), encoded.splat
+        formats = [name for name in options.formats if not self.alike or name not in results.common_formats]
+        # A trip through float32 logarithms and back moves the last bits.
+        source = given if given is not None and given.suffix.lower() == ".ply" and self._only_colors else None
+        if source is not None and ply.recolor(source, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
+            formats = [name for name in formats if name != "ply"]
+        else:
+            formats = ["ply", *formats]
+        for name in dict.fromkeys(formats):
+            export_styles(scene, folder / f"scene.{name}", name, up=options.up)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         names, followed = encoded.targets or (encoded.names, self.cameras)
@@ -214,7 +222,7 @@ class Results:
     def write(self, folder: Path) -> None:
         """Write all results into a folder that has none of their files."""
         written: list[Future[Column]] = []
-        columns, alike = [self.unstyled], [("unstyled", self.restyler.unstyled)]
+        columns, alike = [*self.before], [("unstyled", self.restyler.unstyled)]
         report: dict[str, object] = {}
         # A result is rendered and encoded in a thread while the next one is computed: memory holds two, and no film.
         with ThreadPoolExecutor(1) as thread:
@@ -235,7 +243,7 @@ class Results:
         with self.stages("write", "what the styles have in common"):
             save_gaussians(self.restyler.unstyled, folder / "unstyled.safetensors")
             if len(self) > 1:
-                self.write_sheet(folder, columns[1:])
+                self.write_sheet(folder, columns)
             for name in self.common_formats if len(alike) > 1 else []:
                 export_styles(self.scene(alike, self.styles), folder / f"scene.{name}", name, up=self.export.up)
         if len(self) > 1:
@@ -273,22 +281,21 @@ class Results:
         return StyledScene(tuple(styles), encoded.cameras, names, lines, title, offset=encoded.offset)
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
-        """Write ``sheet.png``: photographs if there are any, the unstyled scene and the columns of some styles."""
-        if self.encoded.reconstruction["kind"] == "given":  # its views are renders of it
-            sheet = style_sheet(self._photographs, columns, title="unstyled")
-        else:
-            sheet = style_sheet(self._photographs, [self.unstyled, *columns])
-        save_png(sheet, folder / "sheet.png")
+        """Write ``sheet.png``: photographs, or of a given scene the renders that are its views, and some columns."""
+        title = "photograph" if self.before else "unstyled"
+        save_png(style_sheet(self._photographs, columns, title=title), folder / "sheet.png")
 
     @cached_property
     def _photographs(self) -> list[Image.Image]:
         return thumbnails([to_pil(image) for image in self.encoded.views.images[0]])
 
     @cached_property
-    def unstyled(self) -> Column:
-        """The column of the reconstruction itself."""
+    def before(self) -> list[Column]:
+        """The column of the reconstruction itself, unless the views are renders of it."""
+        if self.encoded.reconstruction["kind"] == "given":
+            return []
         with self.stages("render", "the unstyled scene"):
-            return "unstyled", None, thumbnails(list(map(to_pil, self.encoded.render(self.restyler.unstyled))))
+            return [("unstyled", None, thumbnails(list(map(to_pil, self.encoded.render(self.restyler.unstyled)))))]
 
 
 def _anonymous(

@@ -15,6 +15,7 @@ from anystyle.data.poses import view_camera
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.limits import require
+from anystyle.methods.colors import KEPT
 from anystyle.pipeline.encode import EncodedCapture, Group, available, encoder, scene_report
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
@@ -31,8 +32,8 @@ DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
-BYTES, BYTES_A_VIEW = 800, 60
-"""Memory that colouring takes: of each Gaussian, and of each in each view; measured with renderer=cpu at degree 3."""
+BYTES, BYTES_A_PIXEL = 800, 250
+"""Memory that restyling takes: of each Gaussian of degree 3, and of each pixel of the views, with renderer=cpu."""
 
 
 def encode_saved(
@@ -51,7 +52,7 @@ def encode_saved(
         sees_features = stylizer.branch.gaussian_head is not None
         side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
         cameras, sources, origin = cameras_of(path, saved, views, options, patch, side)
-        line = require_splat(gaussians.means.shape[1], len(sources), stylizer.device)
+        line = require_splat(gaussians.means.shape[1], cameras, stylizer.device)
     with stages("encode", f"{line}; cameras {origin}"):
         scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.render, encoder(stylizer))
     report = scene_report("given", len(sources), start, {}) | {"cameras": origin}
@@ -63,12 +64,13 @@ def encode_saved(
     )
 
 
-def require_splat(num_gaussians: int, num_views: int, device: torch.device) -> str:
+def require_splat(num_gaussians: int, cameras: Cameras, device: torch.device) -> str:
     """Refuse a scene that memory does not hold; a line on what it will take."""
-    needed = num_gaussians * (BYTES + BYTES_A_VIEW * num_views)
+    num_views, (height, width) = cameras.intrinsics.shape[1], cameras.size
+    needed = num_gaussians * BYTES + min(num_views * height * width * BYTES_A_PIXEL, KEPT)
     what = f"{num_gaussians:,} Gaussians from {num_views} views"
     if (free := available(device)) is not None:
-        require(needed, what, "set fewer views with splat.cameras", free)
+        require(needed, what, "give a scene of fewer Gaussians, or fewer views with splat.cameras", free)
     return f"{what} take about {needed / 2**30:.2g} GiB"
 
 

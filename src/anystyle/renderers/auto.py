@@ -4,7 +4,7 @@ import logging
 from dataclasses import asdict, dataclass
 from functools import cache
 
-from anystyle.contracts import Renderer
+from anystyle.contracts import LinearView, Renderer
 from anystyle.registry.build import build
 from anystyle.registry.catalog import PluginError, catalog
 from anystyle.renderers.rasterizer import RendererOptions
@@ -21,11 +21,17 @@ class AutoRenderer(RendererOptions, Renderer):
         self._renderers: dict[str, Renderer] = {}
 
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        return self._best(gaussians)(gaussians, cameras)
+
+    def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView | None:
+        return self._best(gaussians).linear_view(gaussians, camera)
+
+    def _best(self, gaussians: Gaussians) -> Renderer:
         device = gaussians.means.device.type
         if device not in self._renderers:
             plugin = catalog().find("renderer", best_renderer(device))
             self._renderers[device] = build(Renderer, {"_target_": plugin.path, **asdict(self)})
-        return self._renderers[device](gaussians, cameras)
+        return self._renderers[device]
 
 
 @cache

@@ -104,6 +104,21 @@ def test_everything_carries_gradients(plugin: Subject[Renderer]) -> None:
         asserts.gradient(leaf.grad, f"`{name}`")
 
 
+def test_a_linear_view_is_linear_and_shows_the_scene(plugin: Subject[Renderer]) -> None:
+    """If it has linear views, they show what renders of constant colours show; the transpose has the same products."""
+    device, scene, seen = _device(plugin), gaussians(1, 20, 1), cameras(1, 1, (33, 40))
+    view = plugin.instance.linear_view(scene.to(device), seen.to(device))
+    if view is None:
+        return
+    colors, pixels = (torch.rand(*shape, generator=generator(3)) for shape in ((20, 3), (3, *seen.size)))
+    alike = replace(scene, harmonics=constant_from_rgb(colors)[None, :, None])
+    image = view(colors.to(device)).cpu()
+    asserts.close(image + view.background.cpu(), _render(plugin, alike, seen).color[0, 0], "its view of colours")
+    asserts.close(view(-2 * colors.to(device)).cpu(), -2 * image, "its view of -2 times these colours")
+    products = (image * pixels).sum((1, 2)), (colors * view.transposed(pixels.to(device)).cpu()).sum(0)
+    asserts.close(*products, "products with its view and with its transpose")
+
+
 @cache
 def _device(plugin: Subject[Renderer]) -> str:
     """The CPU, unless the renderer says that it needs CUDA; skips the test where there is none."""

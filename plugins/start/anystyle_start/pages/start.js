@@ -443,7 +443,7 @@
       saved.textContent = `${file.name}, ${megabytes(file.bytes)}`;
       h("a", { href: `${file.address}?name=${encodeURIComponent(file.name)}`, download: file.name }).click();
     }) }, "Download");
-    const about = { html: "a page to look at, with all styles", ply: "3DGS viewers", zip: "everything", glb: "glTF", spz: "small", sog: "small", splat: "web viewers", usdz: "OpenUSD" };
+    const about = { html: "a page to look at, with all styles", ply: "3DGS viewers", zip: "everything", glb: "glTF", spz: "small", sog: "small", splat: "web viewers", ksplat: "GaussianSplats3D", usdz: "OpenUSD" };
     const offer = () => {
       const many = choices.formats[format.value], before = style.value;
       fill(style, many && result.styles.length > 1 && h("option", { value: "all" }, "all styles"), result.styles.map((title, index) => h("option", { value: String(index) }, title)));

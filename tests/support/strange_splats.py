@@ -1,0 +1,872 @@
+"""Files of Gaussians by rule, as programs write them and people have them, each with the Gaussians that it holds.
+
+Numbers are drawn as files store them, integers where these quantise, so that what a file holds follows from the
+specifications in float64. No reader or writer of the project is used.
+"""
+
+import gzip
+import io
+import itertools
+import json
+import struct
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+Array = NDArray[Any]
+COUNT = 300
+"""More than the 256 that share bounds in compressed files."""
+C0 = 0.28209479177387814
+INF, NAN = np.inf, np.nan
+KINDS = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint"}
+FORMATS = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a file holds, in its own axes: rows in the order of the file."""
+
+    means: Array
+    rotations: Array
+    scales: Array
+    opacities: Array
+    harmonics: Array
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def rows(self, kept: Array) -> "Held":
+        columns = (self.means, self.rotations, self.scales, self.opacities, self.harmonics)
+        return Held(*(column[kept] for column in columns), offset=self.offset)
+
+
+@dataclass(frozen=True)
+class Strange:
+    """A file, what it holds, and the lines that its reader says; ``held`` is what is wrong with it if it is refused."""
+
+    data: bytes
+    held: Held | str
+    lines: tuple[str, ...] = ()
+    activated: bool = False
+
+
+Case = tuple[str, Callable[[], Strange]]
+
+
+def cases() -> dict[str, Callable[[], Strange]]:
+    """All by name; the suffix of a name is that of the file."""
+    made = itertools.chain(plys(), compressed(), splats(), spzs(), sogs(), ksplats(), glbs())
+    return dict(made)
+
+
+def drawn(seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def sigmoid(logits: Array) -> Array:
+    return 1 / (1 + np.exp(-logits))
+
+
+# PLY
+
+
+def columns(degree: int = 0, count: int = COUNT) -> dict[str, Array]:
+    """Float32 columns of the layout of 3DGS, none of which is alike."""
+    draw = drawn(degree)
+    higher = 3 * ((degree + 1) ** 2 - 1)
+    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(higher))]
+    found = {name: draw.normal(0, 0.4, count) for name in names}
+    found |= {"opacity": draw.normal(0, 2, count)} | {f"scale_{i}": draw.normal(-4, 0.5, count) for i in range(3)}
+    found |= {f"rot_{i}": draw.normal(0, 1, count) for i in range(4)}
+    return {name: column.astype("f4").astype("f8") for name, column in found.items()}
+
+
+def held_by(values: Mapping[str, Array]) -> Held:
+    rest = sum(name.startswith("f_rest_") for name in values) // 3
+    harmonics = np.empty((len(values["x"]), rest + 1, 3))
+    for channel in range(3):
+        harmonics[:, 0, channel] = values[f"f_dc_{channel}"]
+        for index in range(rest):
+            harmonics[:, index + 1, channel] = values[f"f_rest_{channel * rest + index}"]
+
+    def stack(stem: str, number: int) -> Array:
+        return np.stack([values[f"{stem}_{index}"] for index in range(number)], 1)
+
+    with np.errstate(over="ignore"):
+        return Held(
+            np.stack([values[axis] for axis in "xyz"], 1), stack("rot", 4), np.exp(stack("scale", 3)),
+            sigmoid(values["opacity"]), harmonics,
+        )  # fmt: skip
+
+
+def element(name: str, values: Mapping[str, Array], kinds: Mapping[str, str], order: str) -> tuple[str, bytes]:
+    """The lines of a header on one element, and its data."""
+    table = np.empty(len(next(iter(values.values()))), [(key, (order or "<") + kinds.get(key, "f4")) for key in values])
+    for key, column in values.items():
+        table[key] = column
+    lines = [f"element {name} {len(table)}", *(f"property {KINDS[kinds.get(key, 'f4')]} {key}" for key in values)]
+    text = "".join(" ".join(map(repr, row.tolist())) + "\n" for row in table) if not order else ""
+    return "\n".join(lines) + "\n", text.encode() or table.tobytes()
+
+
+def ply(
+    values: Mapping[str, Array],
+    order: str = "<",
+    kinds: Mapping[str, str] | None = None,
+    *,
+    before: tuple[tuple[str, bytes], ...] = (),
+    after: tuple[tuple[str, bytes], ...] = (),
+    comments: str = "",
+) -> bytes:
+    parts = [*before, element("vertex", values, kinds or {}, order), *after]
+    head = f"ply\nformat {FORMATS[order]} 1.0\n{comments}" + "".join(lines for lines, _ in parts) + "end_header\n"
+    return head.encode() + b"".join(data for _, data in parts)
+
+
+def header(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """A PLY file with another header."""
+    before, end, after = data.partition(b"end_header\n")
+    return change(before + end) + after
+
+
+def plys() -> Iterator[Case]:
+    names: dict[str, Callable[[list[str]], list[str]]] = {
+        "as 3DGS": list, "backwards": lambda n: n[::-1], "sorted": sorted,
+        "shuffled": lambda n: [n[i] for i in drawn(7).permutation(len(n))],
+        "without normals": lambda n: [each for each in n if each not in ("nx", "ny", "nz")],
+    }  # fmt: skip
+    for degree, (what, arrange), order in itertools.product(range(5), names.items(), FORMATS):
+
+        def arranged(degree=degree, arrange=arrange, order=order) -> Strange:
+            values = columns(degree)
+            return Strange(ply({name: values[name] for name in arrange(list(values))}, order), held_by(values))
+
+        yield f"degree {degree}, {what}, {FORMATS[order].removeprefix('binary_')}.ply", arranged
+
+    for order in FORMATS:
+        for what, change in typed().items():
+
+            def typed_as(order=order, change=change) -> Strange:
+                values, kinds, lines = change(columns(1))
+                stored = {key: np.array(column, kinds.get(key, "f4")) for key, column in values.items()}
+                return Strange(ply(stored, order, kinds), told(stored), lines)
+
+            yield f"{what}, {FORMATS[order].removeprefix('binary_')}.ply", typed_as
+    yield from headers()
+    yield from elements()
+    yield from strange_rows()
+    yield from refused_plys()
+
+
+def told(stored: Mapping[str, Array]) -> Held:
+    """What columns of any type hold."""
+    values = {name: column.astype("f8") for name, column in stored.items()}
+    if "f_dc_0" not in values:
+        top = {"u": 255.0 if stored["red"].dtype.itemsize == 1 else 65535.0}.get(stored["red"].dtype.kind)
+        top = top or (255.0 if max(values[name].max() for name in ("red", "green", "blue")) > 1 else 1.0)
+        for index, name in enumerate(("red", "green", "blue")):
+            values[f"f_dc_{index}"] = (values[name] / top - 0.5) / C0
+    return held_by(values)
+
+
+def typed() -> dict[str, Callable[[dict[str, Array]], tuple[dict[str, Array], dict[str, str], tuple[str, ...]]]]:
+    draw = drawn(3)
+
+    def colors(kind: str, top: float, both: bool = False):
+        given = {name: draw.integers(0, 256, COUNT) * (top / 255) for name in ("red", "green", "blue")}
+        line = f"red, green and blue are read as numbers from 0 to {top:g}"
+
+        def change(values: dict[str, Array]):
+            kept = {name: column for name, column in values.items() if both or not name.startswith("f_dc")}
+            return kept | given, dict.fromkeys(given, kind), () if both or kind[0] == "u" else (line,)
+
+        return change
+
+    def rounded(values: dict[str, Array]):
+        """Normals as bytes, colours as whole numbers."""
+        whole = {name: np.round(values[name] * 100) for name in ("nx", "ny", "nz")}
+        return values | whole, dict.fromkeys(whole, "i1"), ()
+
+    return {
+        "double": lambda values: (values, dict.fromkeys(values, "f8"), ()),
+        "positions in double": lambda values: (values, dict.fromkeys("xyz", "f8"), ()),
+        "normals in bytes": rounded,
+        "colours in bytes": colors("u1", 255),
+        "colours in 16 bits": colors("u2", 65535),
+        "colours to 1": colors("f4", 1),
+        "colours to 255": colors("f4", 255),
+        "colours twice": colors("u1", 255, both=True),
+        "more properties": lambda values: (
+            {"id": np.arange(COUNT), "f_0": values["y"], **values, "filter_3D": values["x"], "label": values["z"] > 0},
+            {"id": "u4", "label": "u1", "filter_3D": "f8"}, (),
+        ),
+    }  # fmt: skip
+
+
+def headers() -> Iterator[Case]:
+    changes: dict[str, Callable[[bytes], bytes]] = {
+        "lines of Windows": lambda text: text.replace(b"\n", b"\r\n"),
+        "comment in UTF-8": lambda text: text.replace(b"element", "comment scène de Noël\nelement".encode(), 1),
+        "comment in Latin-1": lambda text: text.replace(b"element", "comment scène\nelement".encode("latin-1"), 1),
+        "comment that says end_header": lambda text: text.replace(b"element", b"comment no end_header yet\nelement", 1),
+        "empty comment": lambda text: text.replace(b"element", b"comment\nelement", 1),
+        "comment before the format": lambda text: text.replace(b"format", b"comment Generated\nformat", 1),
+        "comments among properties": lambda text: text.replace(b"property", b"comment logit\nproperty"),
+        "70 kB of comments": lambda text: text.replace(b"element", b"comment much\n" * 5500 + b"element", 1),
+        "obj_info": lambda text: text.replace(b"element", b"obj_info made by hand\nelement", 1),
+        "names of types with bits": lambda text: text.replace(b" float ", b" float32 "),
+        "more spaces": lambda text: text.replace(b"property float", b"property   float "),
+        "spaces at the ends": lambda text: text.replace(b"\nproperty", b" \nproperty"),
+    }  # fmt: skip
+    for (what, change), order in itertools.product(changes.items(), FORMATS):
+
+        def changed(change=change, order=order) -> Strange:
+            values = columns(1)
+            return Strange(header(ply(values, order), change), held_by(values))
+
+        yield f"{what}, {FORMATS[order].removeprefix('binary_')}.ply", changed
+
+
+def elements() -> Iterator[Case]:
+    for order in FORMATS:
+        where = FORMATS[order].removeprefix("binary_")
+
+        def beside(order=order) -> Strange:
+            """As SHARP writes it: matrices and a colour space after the vertices."""
+            values = columns(0)
+            more = [("extrinsic", np.eye(4).ravel(), "f4"), ("image_size", np.array([640, 480]), "u4")]
+            more += [("color_space", np.array([1]), "u1"), ("version", np.array([1, 5, 0]), "u1")]
+            after = tuple(element(name, {name: column}, {name: kind}, order) for name, column, kind in more)
+            return Strange(ply(values, order, after=after), held_by(values))
+
+        def behind(order=order) -> Strange:
+            values, camera = columns(2), {"fx": np.array([500.0]), "fy": np.array([501.0])}
+            return Strange(ply(values, order, before=(element("camera", camera, {}, order),)), held_by(values))
+
+        def faces(order=order) -> Strange:
+            values, count = columns(0), struct.pack((order or "<") + "Biii", 3, 0, 1, 2)
+            face = ("element face 1\nproperty list uchar int vertex_indices\n", count if order else b"3 0 1 2\n")
+            return Strange(ply(values, order, after=(face,)), held_by(values))
+
+        yield f"elements after, {where}.ply", beside
+        yield f"elements before, {where}.ply", behind
+        yield f"faces, {where}.ply", faces
+
+    def trailing() -> Strange:
+        values = columns(1)
+        return Strange(ply(values) + b"\0" * 100, held_by(values))
+
+    yield "bytes behind the end.ply", trailing
+
+
+def strange_rows() -> Iterator[Case]:
+    path_free = "{total} Gaussians are left out ({what})"
+
+    def changed(change: Callable[[dict[str, Array]], object], what: str = "", kinds: str = "f4", order: str = "<"):
+        def make() -> Strange:
+            values = columns(1)
+            change(values)
+            held = held_by(values)
+            sound = [
+                held.means,
+                held.rotations,
+                held.scales,
+                held.opacities[:, None],
+                held.harmonics.reshape(COUNT, -1),
+            ]
+            largest = np.sqrt(np.finfo("f4").max)
+            kept = np.logical_and.reduce([(np.abs(column) < largest).all(1) for column in sound])
+            kept &= values["opacity"] != -INF
+            lost = COUNT - int(kept.sum())
+            line = path_free.format(total=f"{lost} of {COUNT}", what=what) if lost else what
+            return Strange(ply(values, order, dict.fromkeys(values, kinds)), held.rows(kept), (line,) if line else ())
+
+        return make
+
+    def put(name: str, value: float, rows: slice | int = 0):
+        def change(values: dict[str, Array]) -> None:
+            values[name] = values[name].copy()
+            values[name][rows] = value
+
+        return change
+
+    scale = "with an infinite, negative or missing scale"
+    table = {
+        "NaN in a position": (put("y", NAN, slice(0, 9, 2)), "5 without a position"),
+        "infinite position": (put("z", -INF), "1 without a position"),
+        "position of 1e30": (put("x", 1e30), "1 without a position"),
+        "NaN in an opacity": (put("opacity", NAN), "1 without an opacity"),
+        "opacity of -inf": (put("opacity", -INF, slice(3)), "3 with opacity -inf"),
+        "NaN in a scale": (put("scale_1", NAN), f"1 {scale}"),
+        "scale of +inf": (put("scale_2", INF), f"1 {scale}"),
+        "scale of 300": (put("scale_0", 300), f"1 {scale}"),
+        "NaN in a rotation": (put("rot_3", NAN), "1 without a rotation"),
+        "NaN in a colour": (put("f_dc_1", NAN), "1 without a colour"),
+        "NaN in a harmonic": (put("f_rest_8", NAN), "1 without a colour"),
+        "opacity of +inf": (put("opacity", INF), f"of {COUNT} Gaussians, all kept, 1 with opacity +inf, as opaque"),
+        "scale of -inf": (put("scale_2", -INF), f"of {COUNT} Gaussians, all kept, 1 with scale -inf, as flat"),
+        "opacity of 1000": (put("opacity", 1000), ""),
+        "scale of -1000": (put("scale_2", -1000), ""),
+        "position of 1e6 in single": (put("x", 1e6, slice(None)), ""),
+        "everything at one place": (lambda v: [put(axis, 1.0, slice(None))(v) for axis in "xyz"], ""),
+    }
+    for (what, (change, line)), (kind, order) in itertools.product(table.items(), (("f4", "<"), ("f8", ">"))):
+        where = "double, big endian" if kind == "f8" else "float"
+        yield f"{what}, {where}.ply", changed(change, line, kind, order)
+
+    def opposite() -> Strange:
+        values = columns(1)
+        values |= {f"rot_{index}": -3 * values[f"rot_{index}"] for index in range(4)}
+        return Strange(ply(values), held_by(values))
+
+    def still() -> Strange:
+        values = columns(0) | {f"rot_{index}": np.zeros(COUNT) for index in range(4)}
+        return Strange(ply(values), held_by(values))
+
+    def flat() -> Strange:
+        values = columns(2)
+        held = held_by(values)
+        held.scales[:, 2] = 0
+        del values["scale_2"]
+        line = "without scale_2, its Gaussians are flat discs, as 2DGS writes them"
+        return Strange(ply(values), held, (line,))
+
+    def lengths() -> Strange:
+        values, draw = columns(0), drawn(5)
+        values |= {f"scale_{index}": draw.random(COUNT) * 0.02 for index in range(3)} | {"opacity": draw.random(COUNT)}
+        values = {name: column.astype("f4").astype("f8") for name, column in values.items()}
+        stored = values | {"opacity": np.log(values["opacity"]) - np.log1p(-values["opacity"])}
+        held = held_by(stored | {f"scale_{index}": np.log(values[f"scale_{index}"]) for index in range(3)})
+        return Strange(ply(values), held, activated=True)
+
+    def globe() -> Strange:
+        values = columns(1)
+        values |= {"x": 4.5e6 + 0.01 * np.arange(COUNT), "y": 5.4e5 + values["y"], "z": values["z"]}
+        held = held_by(values)
+        offset = np.median(held.means, 0).round() * (1, 1, 0) + 0.0
+        line = "{:.17g} {:.17g} {:.17g} is taken off all positions, which float32 would round".format(*offset)
+        x, y, z = offset.tolist()
+        moved = Held(held.means - offset, held.rotations, held.scales, held.opacities, held.harmonics, (x, y, z))
+        return Strange(ply(values, kinds=dict.fromkeys("xyz", "f8")), moved, (line,))
+
+    yield "quaternions of other signs and lengths.ply", opposite
+    yield "quaternions of 0.ply", still
+
+    def uneven() -> Strange:
+        """Four coefficients a colour above the constant one: degree 1 takes three."""
+        values, held = columns(1), held_by(columns(1))
+        for index in reversed(range(9)):
+            values[f"f_rest_{index + index // 3}"] = values[f"f_rest_{index}"]
+        values |= {f"f_rest_{index}": np.full(COUNT, 9.0) for index in (3, 7, 11)}
+        return Strange(ply(values), held, ("of 4 coefficients a colour in f_rest_*, the first 3 are read, degree 1",))
+
+    yield "an uneven number of harmonics.ply", uneven
+    yield "two scales.ply", flat
+    yield "lengths and fractions.ply", lengths
+    yield "coordinates of UTM.ply", globe
+    for count in (1, 2):
+        yield f"{count} rows.ply", lambda count=count: Strange(ply(columns(3, count)), held_by(columns(3, count)))
+
+
+def refused_plys() -> Iterator[Case]:
+    def without(name: str):
+        def make() -> Strange:
+            values = {key: column for key, column in columns(0).items() if key != name}
+            return Strange(ply(values), f"without the properties {name}")
+
+        return make
+
+    for name in ("x", "f_dc_1", "opacity", "scale_0", "rot_2"):
+        yield f"without {name}.ply", without(name)
+    points = {
+        **{axis: columns(0)[axis] for axis in "xyz"},
+        **{name: np.zeros(COUNT) for name in ("red", "green", "blue")},
+    }
+    yield (
+        "a point cloud.ply",
+        lambda: Strange(ply(points, kinds=dict.fromkeys(("red", "green", "blue"), "u1")), "without the properties"),
+    )
+    yield "no rows.ply", lambda: Strange(ply(columns(1, 0)), "it is empty")
+    yield "cut.ply", lambda: Strange(ply(columns(1))[:-7], "is not a PLY file of Gaussians")
+    yield (
+        "10 harmonics.ply",
+        lambda: Strange(ply(columns(0) | {f"f_rest_{i}": np.zeros(COUNT) for i in range(10)}), "10"),
+    )
+
+
+# PLY, compressed
+
+
+def compressed() -> Iterator[Case]:
+    def packed(degree: int, count: int = COUNT, order: str = "<", bounded: bool = True, how: str = "") -> Strange:
+        draw = drawn(degree)
+        chunks = -(-count // 256)
+        names = [*"xyz", "scale_x", "scale_y", "scale_z", *("rgb" if bounded else "")]
+        low = {name: draw.normal(-4 if "scale" in name else 0, 0.5, chunks).astype("f4") for name in names}
+        high = {name: low[name] + draw.random(chunks).astype("f4") * (how != "constant") for name in names}
+        groups = (names[:3], names[3:6], names[6:])  # in SuperSplat's order
+        both = (("min", low), ("max", high))
+        chunk = {f"{bound}_{name}": values[name] for group in groups for bound, values in both for name in group}
+        words = {
+            f"packed_{name}": draw.integers(0, 1 << 32, count, np.uint64)
+            for name in ("position", "rotation", "scale", "color")
+        }
+        if how == "edges":
+            words = {name: np.where(np.arange(count) % 2, 0, 0xFFFFFFFF) for name in words}
+            words["packed_rotation"] = np.arange(count, dtype=np.uint64) % 4 << 30 | 0x1FF7FDFF
+        higher = 3 * ((degree + 1) ** 2 - 1)
+        rest = {f"f_rest_{index}": draw.integers(0, 256, count) for index in range(higher)}
+        group = np.arange(count) // 256
+
+        def bits(name: str, shift: int, number: int) -> Array:
+            return (words[f"packed_{name}"].astype(np.uint64) >> np.uint64(shift) & np.uint64(2**number - 1)) / (
+                2**number - 1
+            )
+
+        def between(fraction: Array, name: str) -> Array:
+            return low[name][group].astype("f8") * (1 - fraction) + high[name][group].astype("f8") * fraction
+
+        layout = ((21, 11), (11, 10), (0, 11))
+        values = {axis: between(bits("position", *layout[i]), axis) for i, axis in enumerate("xyz")}
+        values |= {f"scale_{i}": between(bits("scale", *layout[i]), f"scale_{axis}") for i, axis in enumerate("xyz")}
+        others = np.stack([(bits("rotation", shift, 10) - 0.5) * np.sqrt(2) for shift in (20, 10, 0)], 1)
+        turns = smallest_three((words["packed_rotation"].astype(np.uint64) >> np.uint64(30)).astype(int), others)
+        values |= {f"rot_{index}": turns[:, index] for index in range(4)}
+        for index, (channel, shift) in enumerate(zip("rgb", (24, 16, 8), strict=True)):
+            fraction = bits("color", shift, 8)
+            values[f"f_dc_{index}"] = ((between(fraction, channel) if bounded else fraction) - 0.5) / C0
+        values["opacity"] = np.zeros(count)
+        for name, column in rest.items():
+            values[name] = (np.select([column == 0, column == 255], [0.0, 1.0], (column + 0.5) / 256) - 0.5) * 8
+        held = held_by(values)
+        opaque = Held(held.means, held.rotations, held.scales, bits("color", 0, 8), held.harmonics)
+        parts = [element("chunk", chunk, {}, order), element("vertex", words, dict.fromkeys(words, "u4"), order)]
+        if rest:
+            parts.append(element("sh", rest, dict.fromkeys(rest, "u1"), order))
+        if how == "shuffled":
+            shuffled = {name: words[name] for name in sorted(words)}
+            mixed = {name: chunk[name] for name in sorted(chunk)}
+            parts[:2] = [
+                element("vertex", shuffled, dict.fromkeys(words, "u4"), order),
+                element("chunk", mixed, {}, order),
+            ]
+        head = f"ply\nformat {FORMATS[order]} 1.0\ncomment Generated by SuperSplat\n" + "".join(
+            lines for lines, _ in parts
+        )
+        data = head.encode() + b"end_header\n" + b"".join(data for _, data in parts)
+        return Strange(data, opaque)
+
+    for degree, (order, where) in itertools.product(range(4), FORMATS.items()):
+        where = where.removeprefix("binary_")
+        yield f"degree {degree}, {where}.compressed.ply", lambda d=degree, o=order: packed(d, order=o)
+        yield (
+            f"degree {degree}, colours to 1, {where}.compressed.ply",
+            lambda d=degree, o=order: packed(d, order=o, bounded=False),
+        )
+    for count in (1, 255, 256, 257, 512):
+        yield f"{count} rows.compressed.ply", lambda count=count: packed(1, count)
+    for how in ("constant", "edges", "shuffled"):
+        yield f"{how}.compressed.ply", lambda how=how: packed(2, how=how)
+
+
+def smallest_three(largest: Array, others: Array) -> Array:
+    """Quaternions from the index of the largest component and the other three in order."""
+    turns = np.empty((len(largest), 4))
+    for row, (index, three) in enumerate(zip(largest, others, strict=True)):
+        turns[row] = np.insert(three, index, np.sqrt(max(0.0, 1 - three @ three)))
+    return turns
+
+
+# .splat
+
+
+def splats() -> Iterator[Case]:
+    def rows(count: int = COUNT) -> Array:
+        draw = drawn(count)
+        table = np.zeros(count, [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("turn", "u1", 4)])
+        table["mean"], table["scale"] = draw.normal(size=(count, 3)), draw.random((count, 3)) * 0.1
+        table["color"], table["turn"] = draw.integers(0, 256, (count, 4)), draw.integers(0, 256, (count, 4))
+        return table
+
+    def held(table: Array) -> Held:
+        color = table["color"] / 255
+        turns = (table["turn"].astype("f8") - 128) / 128
+        means, scales = table["mean"].astype("f8"), table["scale"].astype("f8")
+        return Held(means, turns, scales, color[:, 3], (color[:, None, :3] - 0.5) / C0)
+
+    def changed(name: str, value: float, line: str):
+        def make() -> Strange:
+            table = rows()
+            table[name][:3] = value
+            whole = held(table)
+            return Strange(
+                table.tobytes(), whole.rows(np.arange(COUNT) > 2) if line else whole, (line,) if line else ()
+            )
+
+        return make
+
+    for count in (1, 2, 257):
+        yield f"{count} rows.splat", lambda count=count: Strange(rows(count).tobytes(), held(rows(count)))
+    lost = f"3 of {COUNT} Gaussians are left out (3 {{}})"
+    scale = "with an infinite, negative or missing scale"
+    for what, name, value, line in (
+        ("positions of NaN", "mean", NAN, lost.format("without a position")),
+        ("infinite positions", "mean", INF, lost.format("without a position")),
+        ("positions of 1e6", "mean", 1e6, ""),
+        ("scales of NaN", "scale", NAN, lost.format(scale)),
+        ("infinite scales", "scale", INF, lost.format(scale)),
+        ("negative scales", "scale", -1, lost.format(scale)),
+        ("scales of 0", "scale", 0, ""),
+        ("transparent", "color", 0, ""),
+        ("opaque", "color", 255, ""),
+        ("quaternions of 0", "turn", 128, ""),
+    ):
+        yield f"{what}.splat", changed(name, value, line)
+    yield (
+        "bytes behind the end.splat",
+        lambda: Strange(rows().tobytes() + b"\0" * 5, held(rows()), ("5 bytes behind the last Gaussian are left out",)),
+    )
+    yield "no rows.splat", lambda: Strange(b"", "is empty")
+
+
+# SPZ
+
+
+def spzs() -> Iterator[Case]:
+    def packed(
+        version: int, degree: int, *, bits: int = 12, flags: int = 0, behind: bytes = b"", how: str = ""
+    ) -> Strange:
+        draw, higher = drawn(10 * version + degree), (degree + 1) ** 2 - 1
+        if version == 1:
+            halves = draw.normal(size=(COUNT, 3)).astype("<f2")
+            means, positions = halves.astype("f8"), halves.tobytes()
+        else:
+            fixed = draw.integers(-(2**23), 2**23, (COUNT, 3))
+            fixed[0], fixed[1] = -(2**23), 2**23 - 1
+            means, positions = fixed / 2**bits, fixed.astype("<i4")[..., None].view("u1")[..., :3].tobytes()
+        alpha, color, scale = (
+            draw.integers(0, 256, COUNT),
+            draw.integers(0, 256, (COUNT, 3)),
+            draw.integers(0, 256, (COUNT, 3)),
+        )
+        rest = draw.integers(0, 256, (COUNT, higher, 3))
+        if version < 3:
+            xyz = draw.integers(40, 216, (COUNT, 3))
+            imaginary = xyz / 127.5 - 1
+            turns = np.concatenate(
+                [np.sqrt(np.maximum(0, 1 - np.square(imaginary).sum(1, keepdims=True))), imaginary], 1
+            )
+            rotations = xyz.astype("u1").tobytes()
+        else:
+            largest, size, sign = (
+                draw.integers(0, 4, COUNT),
+                draw.integers(0, 460, (COUNT, 3)),
+                draw.integers(0, 2, (COUNT, 3)),
+            )
+            others = size / 511 / np.sqrt(2) * (1 - 2 * sign)
+            turns = smallest_three(largest, others)[:, [3, 0, 1, 2]]
+            fields = size | sign << 9
+            rotations = (largest << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]).astype("<u4").tobytes()
+        streams = [
+            positions,
+            *(part.astype("u1").tobytes() for part in (alpha, color, scale)),
+            rotations,
+            rest.astype("u1").tobytes(),
+        ]
+        harmonics = np.concatenate([(color[:, None] / 255 - 0.5) / 0.15, (rest - 128) / 128], 1)
+        held = Held(means, turns, np.exp(scale / 16 - 10), alpha / 255, harmonics)
+        head = struct.pack("<IIIBBBB", 0x5053474E, version, COUNT, degree, bits, flags, 0)
+        if version < 4:
+            body = head + b"".join(streams) + behind
+            if how == "with a name":
+                stream = io.BytesIO()
+                with gzip.GzipFile("scene.bin", "wb", fileobj=stream, mtime=0) as file:
+                    file.write(body)
+                return Strange(stream.getvalue(), held)
+            if how == "in parts":
+                return Strange(gzip.compress(body[:1000], mtime=0) + gzip.compress(body[1000:], mtime=0), held)
+            return Strange(gzip.compress(body, mtime=0) + (b"\0" * 16 if how == "padded" else b""), held)
+        import zstandard
+
+        streams = [stream for stream in streams if stream]
+        short = [zstandard.ZstdCompressor().compress(stream) for stream in streams]
+        table = b"".join(struct.pack("<QQ", len(a), len(b)) for a, b in zip(short, streams, strict=True))
+        head = head[:15] + struct.pack("<BI12x", len(streams), 32)
+        return Strange(head + table + b"".join(short) + behind, held)
+
+    for version, degree in itertools.product((1, 2, 3, 4), range(5)):
+        if degree < 4 or version == 4:
+            yield f"version {version}, degree {degree}.spz", lambda v=version, d=degree: packed(v, d)
+    for bits in (0, 5, 18, 23):
+        yield f"{bits} fractional bits.spz", lambda bits=bits: packed(2, 1, bits=bits)
+    for how in ("with a name", "in parts", "padded"):
+        yield f"gzip {how}.spz", lambda how=how: packed(3, 1, how=how)
+    yield "antialiased.spz", lambda: packed(3, 2, flags=1)
+    for version in (3, 4):
+        yield f"bytes behind the end, version {version}.spz", lambda v=version: packed(v, 1, behind=b"\1" * 9)
+    head = struct.pack("<IIIBBBB", 0x5053474E, 3, 0, 0, 12, 0, 0)
+    yield "no rows.spz", lambda: Strange(gzip.compress(head, mtime=0), "it has no Gaussians")
+    yield "version 9.spz", lambda: Strange(gzip.compress(head[:4] + b"\t" + head[5:], mtime=0), "version 9")
+
+
+# SOG
+
+
+def sogs() -> Iterator[Case]:
+    def webp(pixels: Array, kind: str = "WEBP") -> bytes:
+        stream = io.BytesIO()
+        image = Image.fromarray(pixels.astype("u1"))
+        image.save(stream, "WEBP", lossless=True, exact=True) if kind == "WEBP" else image.save(stream, kind)
+        return stream.getvalue()
+
+    def archived(degree: int, *, how: str = "", version: int = 2, centroids: int = 70) -> Strange:
+        draw, width = drawn(20 + degree), 20
+        height = 15 if how != "padded" else 20
+        rows = width * height
+
+        def image(values: Array) -> bytes:
+            pixels = np.concatenate([values, draw.integers(0, 256, (rows - COUNT, values.shape[1]))])
+            return webp(pixels.reshape(height, width, -1), "PNG" if how == "png" else "WEBP")
+
+        words = draw.integers(0, 65536, (COUNT, 3))
+        low, high = draw.normal(-1, 0.1, 3), draw.normal(1, 0.1, 3)
+        far = low + (high - low) * words / 65535
+        turn, largest = draw.integers(45, 211, (COUNT, 3)), draw.integers(0, 4, COUNT)
+        turns = smallest_three(largest, (turn / 255 - 0.5) * np.sqrt(2))
+        scale, color, alpha = (
+            draw.integers(0, 256, (COUNT, 3)),
+            draw.integers(0, 256, (COUNT, 3)),
+            draw.integers(0, 256, COUNT),
+        )
+        scale_book, color_book, rest_book = (np.sort(draw.normal(at, 0.5, 256)) for at in (-4, 0, 0))
+        files = {"means_l.webp": image(words & 255), "means_u.webp": image(words >> 8), "scales.webp": image(scale)}
+        files["quats.webp"] = image(np.concatenate([turn, 252 + largest[:, None]], 1))
+        files["sh0.webp"] = image(np.concatenate([color, alpha[:, None]], 1))
+        meta: dict[str, Any] = {
+            "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+            "quats": {"files": ["quats.webp"]},
+            "scales": {"files": ["scales.webp"]},
+            "sh0": {"files": ["sh0.webp"]},
+        }
+        if version == 2:
+            meta |= {"version": 2, "count": COUNT}
+            meta["scales"]["codebook"], meta["sh0"]["codebook"] = scale_book.tolist(), color_book.tolist()
+            scales, constant, opacities = np.exp(scale_book[scale]), color_book[color], alpha / 255
+        else:
+            meta["means"] |= {"shape": [COUNT, 3], "dtype": "float32"}
+            meta["scales"] |= {"mins": [-6.0] * 3, "maxs": [-2.0] * 3}
+            meta["sh0"] |= {"mins": [-2.0, -2.0, -2.0, -5.0], "maxs": [2.0, 2.0, 2.0, 5.0]}
+            scales, constant = np.exp(-6 + 4 * scale / 255), -2 + 4 * color / 255
+            opacities = sigmoid(-5 + 10 * alpha / 255)
+        rest = np.zeros((COUNT, 0, 3))
+        if degree:
+            higher = (degree + 1) ** 2 - 1
+            labels, table = (
+                draw.integers(0, centroids, COUNT),
+                draw.integers(0, 256, (-(-centroids // 64) * 64, higher, 3)),
+            )
+            files["shN_centroids.webp"] = webp(table.reshape(-1, 64 * higher, 3))
+            files["shN_labels.webp"] = image(np.stack([labels & 255, labels >> 8, 0 * labels], 1))
+            meta["shN"] = {"files": ["shN_centroids.webp", "shN_labels.webp"]}
+            if version == 2:
+                meta["shN"] |= {"count": centroids, "bands": degree, "codebook": rest_book.tolist()}
+                rest = rest_book[table[labels]]
+            else:
+                meta["shN"] |= {"mins": -1.5, "maxs": 1.5, "quantization": 8}
+                rest = -1.5 + 3 * table[labels] / 255
+        if how == "antialiased":
+            meta |= {"antialias": True, "asset": {"generator": "splat-transform"}}
+        held = Held(
+            np.sign(far) * np.expm1(np.abs(far)), turns, scales, opacities, np.concatenate([constant[:, None], rest], 1)
+        )
+        stream, inside = io.BytesIO(), "scene/" if how == "in a folder" else ""
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED if how == "deflated" else zipfile.ZIP_STORED) as archive:
+            for name, data in {"meta.json": json.dumps(meta).encode(), **files}.items():
+                archive.writestr(zipfile.ZipInfo(inside + name), data)
+        return Strange(stream.getvalue(), held)
+
+    for version, degree in itertools.product((1, 2), range(4)):
+        yield f"version {version}, degree {degree}.sog", lambda v=version, d=degree: archived(d, version=v)
+    for how in ("png", "padded", "deflated", "antialiased", "in a folder"):
+        yield f"{how}.sog", lambda how=how: archived(1, how=how)
+    for centroids in (1, 64, 300):
+        yield f"{centroids} centroids.sog", lambda centroids=centroids: archived(2, centroids=centroids)
+
+
+# KSPLAT
+
+
+def ksplats() -> Iterator[Case]:
+    def packed(level: int, degree: int, *, sections: int = 1, partial: bool = False, room: int = 0) -> Strange:
+        draw, higher = drawn(40 + degree + 5 * level), (degree + 1) ** 2 - 1
+        kind, number = ("<f4", "<f4") if level == 0 else ("<u2", "<f2")
+        row = np.dtype(
+            [("mean", kind, 3), ("scale", number, 3), ("turn", number, 4), ("color", "u1", 4)]
+            + ([("rest", ("<f4", "<f2", "u1")[level], 3 * higher)] if higher else [])
+        )
+        low, high, block = -1.25, 1.75, 5.0
+        heads, bodies, parts = [], [], []
+        for _ in range(sections):
+            table = np.zeros(COUNT + room, row)
+            rows = table[:COUNT]
+            rows["scale"], rows["turn"] = draw.random((COUNT, 3)) * 0.1, draw.normal(size=(COUNT, 4))
+            rows["color"] = draw.integers(0, 256, (COUNT, 4))
+            if higher:
+                rows["rest"] = (
+                    draw.integers(0, 256, (COUNT, 3 * higher)) if level == 2 else draw.normal(size=(COUNT, 3 * higher))
+                )
+            sizes = [256, 30, 14] if partial else [256, 44]
+            centers = draw.normal(size=(len(sizes) * (level > 0), 3)).astype("<f4")
+            if level:
+                rows["mean"] = draw.integers(0, 65536, (COUNT, 3))
+                middle = np.repeat(centers.astype("f8"), sizes, 0)
+                means = (rows["mean"].astype("f8") - 32767) * (block / 2 / 32767) + middle
+            else:
+                rows["mean"] = draw.normal(size=(COUNT, 3))
+                means = rows["mean"].astype("f8")
+            # Bands follow each other; in each the coefficients of red, green, blue.
+            rest = np.zeros((COUNT, higher, 3))
+            if higher:
+                stored = rows["rest"].astype("f8")
+                stored = low + stored / 255 * (high - low) if level == 2 else stored
+                for band in range(1, degree + 1):
+                    first, wide = band**2 - 1, 2 * band + 1
+                    values = stored[:, 3 * first : 3 * (first + wide)].reshape(COUNT, 3, wide)
+                    rest[:, first : first + wide] = np.moveaxis(values, 1, 2)
+            color = rows["color"] / 255
+            parts.append((
+                means, rows["turn"].astype("f8"), rows["scale"].astype("f8"), color[:, 3],
+                np.concatenate([(color[:, None, :3] - 0.5) / C0, rest], 1),
+            ))  # fmt: skip
+            lengths = np.array(sizes[1:] if level else [], "<u4")
+            body = lengths.tobytes() + centers.tobytes() + table.tobytes()
+            buckets = (256, len(centers), block, 12, 32767) if level else (0, 0, 0.0, 0, 0)
+            head = struct.pack(
+                "<IIIIfHxxIIIIH", COUNT, COUNT + room, *buckets, len(body), 1 if level else 0, len(lengths), degree
+            )
+            heads.append(head.ljust(1024, b"\0"))
+            bodies.append(body)
+        total = COUNT * sections
+        start = struct.pack(
+            "<BBxxIIIIHxx3fff", 0, 1, sections, sections, total + room * sections, total, level, 0, 0, 0, low, high
+        )
+        data = start.ljust(4096, b"\0") + b"".join(heads) + b"".join(bodies)
+        means, turns, scales, opacities, harmonics = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        return Strange(data, Held(means, turns, scales, opacities, harmonics))
+
+    for level, degree in itertools.product(range(3), range(4)):
+        yield f"level {level}, degree {degree}.ksplat", lambda level=level, degree=degree: packed(level, degree)
+    for level in (0, 1):
+        yield f"two sections, level {level}.ksplat", lambda level=level: packed(level, 1, sections=2)
+        yield f"room for more, level {level}.ksplat", lambda level=level: packed(level, 1, room=7)
+    yield "more buckets.ksplat", lambda: packed(2, 1, partial=True)
+
+    def cut() -> Strange:
+        whole = packed(0, 1)
+        assert isinstance(whole.held, Held)
+        line = "the file ends after 298 of 300 Gaussians of a section"
+        return Strange(whole.data[:-100], whole.held.rows(np.arange(298)), (line,))
+
+    yield "cut.ksplat", cut
+    yield "version 1.ksplat", lambda: Strange(b"\1" + packed(0, 0).data[1:], "version 1")
+    yield "no rows.ksplat", lambda: Strange(b"\0\1".ljust(4096, b"\0"), "it has no Gaussians")
+
+
+# GLB
+
+
+def glbs() -> Iterator[Case]:
+    stem = "KHR_gaussian_splatting"
+
+    def held(degree: int) -> Held:
+        return held_by(columns(degree))
+
+    def packed(degree: int, how: str = "") -> Strange:
+        scene, views, accessors, binary = held(degree), [], [], bytearray()
+        kinds = {"f4": 5126, "i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123}
+
+        def accessor(values: Array, kind: str = "f4") -> int:
+            """Numbers as float32, or in [-1, 1] as normalised integers."""
+            top = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
+            stored = np.round(values * top).astype(f"<{kind}") if kind != "f4" else values.astype("<f4")
+            padded = np.zeros(
+                (len(stored), -(-stored.shape[1] * stored.itemsize // 4) * 4 // stored.itemsize), stored.dtype
+            )
+            padded[:, : stored.shape[1]] = stored
+            view: dict[str, Any] = {"buffer": 0, "byteOffset": len(binary), "byteLength": padded.nbytes}
+            views.append(view | ({"byteStride": padded.strides[0]} if padded.shape != stored.shape else {}))
+            binary.extend(padded.tobytes())
+            entry = {"bufferView": len(views) - 1, "count": len(values), "componentType": kinds[kind]}
+            accessors.append(
+                entry
+                | {"type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[stored.shape[1]]}
+                | ({"normalized": True} if kind != "f4" else {})
+            )
+            values[:] = stored / top
+            return len(accessors) - 1
+
+        unit = scene.rotations / np.linalg.norm(scene.rotations, axis=1, keepdims=True)
+        xyzw = unit[:, [1, 2, 3, 0]]
+        alpha = scene.opacities[:, None].copy()
+        kind = how if how in kinds else "f4"
+        attributes = {
+            "POSITION": accessor(scene.means),
+            f"{stem}:ROTATION": accessor(xyzw, {"u1": "i1", "u2": "i2"}.get(kind, kind)),
+            f"{stem}:SCALE": accessor(scene.scales),
+            f"{stem}:OPACITY": accessor(alpha, {"i1": "u1", "i2": "u2"}.get(kind, kind)),
+        }
+        index = 0
+        for band in range(degree + 1):
+            for order in range(2 * band + 1):
+                attributes[f"{stem}:SH_DEGREE_{band}_COEF_{order}"] = accessor(scene.harmonics[:, index])
+                index += 1
+        if how == "colours beside":
+            attributes["COLOR_0"] = accessor(np.ones((COUNT, 4)), "u1")
+        kernel: dict[str, Any] = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+        if how != "least of what must be":
+            kernel |= {"sortingMethod": "cameraDistance", "projection": "perspective"}
+        node: dict[str, Any] = {"mesh": 0}
+        means, turns, scales = scene.means, xyzw[:, [3, 0, 1, 2]], scene.scales
+        if how == "moved":
+            node |= {"translation": [1.0, 2.0, 3.0], "scale": [2.0, 2.0, 2.0]}
+            means, scales = 2 * means + (1, 2, 3), 2 * scales
+        elif how == "matrix":
+            node["matrix"] = [3, 0, 0, 0, 0, 3, 0, 0, 0, 0, 3, 0, 5, 6, 7, 1]
+            means, scales = 3 * means + (5, 6, 7), 3 * scales
+        document: dict[str, Any] = {
+            "asset": {"version": "2.0"}, "extensionsUsed": [stem], "nodes": [node], "scenes": [{"nodes": [0]}],
+            "meshes": [{"primitives": [{"attributes": attributes, "mode": 0, "extensions": {stem: kernel}}]}],
+            "buffers": [{"byteLength": len(binary)}], "bufferViews": views, "accessors": accessors,
+        }  # fmt: skip
+        if how == "scene chosen":
+            document["scene"] = 0
+        elif how == "no scenes":
+            del document["scenes"]
+        elif how == "a mesh beside":
+            document["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]})
+            document["nodes"].append({"mesh": 1})
+            document["scenes"][0]["nodes"].append(1)
+        text = json.dumps(document).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+        data = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+        held_here = Held(means, turns, scales, alpha[:, 0], scene.harmonics)
+        return Strange(data, "it lacks 'scenes'" if how == "no scenes" else held_here)
+
+    for degree in range(4):
+        yield f"degree {degree}.glb", lambda degree=degree: packed(degree)
+    for how in (
+        "i1",
+        "i2",
+        "colours beside",
+        "least of what must be",
+        "moved",
+        "matrix",
+        "scene chosen",
+        "no scenes",
+        "a mesh beside",
+    ):
+        yield f"{how}.glb", lambda how=how: packed(1, how)
