@@ -78,6 +78,8 @@ class Session:
         restored = (kept_json(folder / "session.json", SavedSession) if folder is not None else None) or SavedSession()
         self.recent = list(restored.recent)
         self.current, self.gaussians = StyleRequest(), restyler.unstyled
+        self.wanted = StyleRequest()
+        """The latest request, which may not be finished."""
         self.status, self.done = "", None
         self.in_progress: StyleRequest | None = None
         self._embedded: LRUCache[tuple[str, str, float], EmbeddedStyle] = LRUCache(CACHE_SIZE)
@@ -88,11 +90,13 @@ class Session:
         self._thread.start()
         if restored.request != StyleRequest():
             self.request(restored.request)
+        elif self.saved:
+            self.request(StyleRequest(list(self.saved)[-1]))
 
     def request(self, request: StyleRequest) -> None:
         """Ask for a style; replaces earlier requests that are not finished."""
         with self._wake:
-            self._pending = request
+            self.wanted = self._pending = request
             self._wake.notify()
 
     def close(self) -> None:
@@ -189,6 +193,9 @@ class Session:
         self.on_status()
 
     def _save(self, request: StyleRequest) -> None:
-        self.recent = list(dict.fromkeys((*request.styles, *self.recent)))[:MAX_RECENT]
+        # The title of a saved style would be a text to a session on another scene.
+        asked = [style for style in request.styles if style not in self.saved]
+        self.recent = list(dict.fromkeys((*asked, *self.recent)))[:MAX_RECENT]
         if self.folder is not None:
-            write_json(self.folder / "session.json", asdict(SavedSession(tuple(self.recent), request)))
+            kept = request if len(asked) == len(request.styles) else StyleRequest()
+            write_json(self.folder / "session.json", asdict(SavedSession(tuple(self.recent), kept)))
