@@ -7,6 +7,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from shlex import join
 
+from PIL import Image
+
+from anystyle.data.images import open_image
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.cache import LRUCache
@@ -70,8 +73,10 @@ class Session:
         saved: Mapping[str, Gaussians] | None = None,
         folder: Path | None = None,
         notes: Sequence[str] = (),
+        pictures: Mapping[str, Image.Image] | None = None,
     ) -> None:
         self.restyler, self.saved, self.folder, self.notes = restyler, dict(saved or {}), folder, tuple(notes)
+        self._pictures = dict(pictures or {})
         # Called from the background thread when another style is ready, and when :attr:`status` has changed.
         self.on_change: Callable[[], None] = lambda: None
         self.on_status: Callable[[], None] = lambda: None
@@ -118,6 +123,11 @@ class Session:
             for style, request in requests
             if style in self.saved or request in self._scenes
         }
+
+    def pictures(self) -> dict[str, Image.Image]:
+        """The pictures of styles that are given as images, by title."""
+        uploaded = {style: self.image_file(style) for style in self.recent}
+        return self._pictures | {title_of(style): open_image(file) for style, file in uploaded.items() if file}
 
     def notes_on(self, styles: Sequence[str]) -> tuple[str, ...]:
         """Where the scene in some styles comes from, for its files."""

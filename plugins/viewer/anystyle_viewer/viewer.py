@@ -259,7 +259,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             styles[title] = styles.pop(title)  # the last one is shown at first
             given = tuple(styles.items()), self.encoded.cameras, tuple(self.encoded.names)
             notes, page_title = session.notes_on(session.styles()), Path(self._command_words[0]).stem
-            export_styles(StyledScene(*given, notes, page_title, offset=self.encoded.offset), path, "html")
+            shared = {"offset": self.encoded.offset, "pictures": session.pictures()}
+            export_styles(StyledScene(*given, notes, page_title, **shared), path, "html")
         else:
             lines = "\n".join((title, *session.notes_on(session.current.styles)))
             export(session.gaussians, path, path.name.partition(".")[2], notes=lines, offset=self.encoded.offset)

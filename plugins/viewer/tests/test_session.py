@@ -213,7 +213,7 @@ def test_a_picture_is_kept_once_and_another_of_its_name_beside_it(tmp_path, rest
     assert sorted((tmp_path / "kept").iterdir()) == sorted(set(kept))
     session = Session(restyler, folder=tmp_path / "kept")
     settled(session, StyleRequest(str(kept[0])))
-    assert f"--image {kept[0]}" in session.command("x")
+    assert f"--image {kept[0]}" in session.command("x") and list(session.pictures()) == [title_of(str(kept[0]))]
     # Another file of this machine is a text like any other.
     assert session.image_file(str(tmp_path / "red.jpg")) is None and session.image_file("../red.jpg") is None
     session.close()
