@@ -1,4 +1,4 @@
-"""Masks of a scene's photographs, drawn on the page or given as files: white counts, black is no part of the scene."""
+"""Masks of a scene's photographs, drawn on the page or given as files: white counts, black does not."""
 
 import shutil
 from pathlib import Path
@@ -36,7 +36,7 @@ class Masks:
         return {name: masks[name].stat().st_mtime_ns for name in self.photographs(scene) if name in masks}
 
     def keep(self, scene: str, name: str, content: bytes) -> str:
-        """Store a mask; one that is white everywhere is none. Returns the photograph whose mask it is.
+        """Store a mask, or delete it where all of it is white. Returns the photograph whose mask it is.
 
         ``name`` is the photograph's, or that of a file: ``a.png`` or ``a.jpg.png`` for ``a.jpg``.
         """

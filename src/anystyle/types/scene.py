@@ -134,7 +134,7 @@ class StyledScene:
         title: To display.
         up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
         offset: What was taken off the positions of Gaussians and cameras, in these axes.
-        pictures: Of styles that were given as an image, small, by their titles.
+        pictures: Small images of styles that were given as one, by the titles of these.
     """
 
     styles: tuple[tuple[str, Gaussians], ...]
