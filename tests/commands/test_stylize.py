@@ -152,6 +152,9 @@ def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_b
     assert [title for title, _ in read_saved(out).styles] == titles
     manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', (out / "scene.html").read_text(), re.S)[1])
     assert [style["title"] for style in manifest["styles"]] == titles
+    assert [style.get("picture", "")[:16] for style in manifest["styles"]] == ["", "", "data:image/webp;"]
+    ((painting, picture),) = read_saved(out).pictures.items()  # a page that is written later has it, too
+    assert painting == "Red Painting" and np.abs(np.asarray(picture).astype(int) - (200, 30, 30)).max() < 4
     # The tensors beside them are scenes, too.
     for scene, style in ((out / "unstyled.safetensors", 0), (out / first / "scene.safetensors", 1)):
         alone, (title, gaussians) = read_saved(scene), read_saved(out).styles[style]

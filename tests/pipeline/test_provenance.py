@@ -155,7 +155,9 @@ def test_other_readers_find_it_in_a_file(name, folders, given):
 def test_nothing_is_told_where_it_may_not_be(folders, given):
     """Names and texts are in no file and no file's name; hashes of what was given are not either."""
     told, untold = ([path for path in folder.rglob("*") if path.is_file()] for folder in folders)
-    assert len(told) == len(untold) >= 40
+    pictures = [path for path in told if path.name == "style.jpg"]
+    assert len(pictures) == 1 and len(told) == len(untold) + 1 >= 40
+    assert [b"data:image" in (folder / "scene.html").read_bytes() for folder in folders] == [True, False]
     everything = b"".join(map(contents, told)).lower()
     for word in WORDS[:3]:
         assert word.encode() in everything

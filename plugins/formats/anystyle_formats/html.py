@@ -5,6 +5,7 @@ import gzip
 import html
 import json
 from importlib.resources import files
+from io import BytesIO
 from math import sqrt
 from pathlib import Path
 from string import Template
@@ -12,6 +13,7 @@ from string import Template
 import numpy as np
 import torch
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Format
@@ -23,9 +25,13 @@ from anystyle.io.splats import Splats
 from anystyle.types import Cameras, StyledScene
 from anystyle_formats.packing import columns_of, in_bytes, in_words, joined_bits, morton_order, smallest_three
 from anystyle_formats.provenance import json_ld, readable
+from anystyle_formats.views import best_view
 
 _SCALE_RANGE = 14.0
 """Scales are clamped to this many natural logarithms below the largest: a millionth of it."""
+
+_PICTURE = 80
+"""Longer side of the picture of a style in pixels: two for each that it is shown at."""
 
 
 class Html(Format):
@@ -43,13 +49,19 @@ class Html(Format):
         for title, style in zip(titles, styles, strict=True):
             if style.means.shape != means.shape or not bool((style.means == means).all()):
                 raise UserError(f"the style {title!r} has other Gaussians than {titles[0]!r}; one page, one scene")
-        blob, packing = _packed(titles, styles)
+        blob, packing, entries = _packed(titles, styles)
+        cameras = scene.cameras if scene.names else _looking_at(means, styles[0].opacities)
         manifest = packing | {
+            "styles": entries,
             "title": scene.title,
             "notes": readable(scene.notes),
             "first": len(styles) - 1,
-            "cameras": _cameras(scene.cameras if scene.names else _looking_at(means, styles[0].opacities)),
+            "opening": best_view(means, styles[0].opacities, cameras),
+            "cameras": _cameras(cameras),
         }
+        for title, entry in zip(titles, entries, strict=True):
+            if title in scene.pictures:
+                entry["picture"] = _small(scene.pictures[title])
         template, style, script = (
             (files("anystyle_formats") / "page" / f"page.{kind}").read_text(encoding="utf-8")
             for kind in ("html", "css", "js")
@@ -87,8 +99,16 @@ def _cameras(cameras: Cameras) -> list[dict[str, object]]:
     ]
 
 
-def _packed(titles: list[str], styles: list[Splats]) -> tuple[bytes, dict[str, object]]:
-    """The quantised scene, column by column, and what ``page.js`` needs to unpack it."""
+def _small(picture: Image.Image) -> str:
+    """A picture of a style as a ``data:`` URL."""
+    small, data = picture.convert("RGB"), BytesIO()
+    small.thumbnail((_PICTURE, _PICTURE), Image.Resampling.LANCZOS)
+    small.save(data, "WEBP", quality=70, method=6)
+    return f"data:image/webp;base64,{base64.b64encode(data.getvalue()).decode()}"
+
+
+def _packed(titles: list[str], styles: list[Splats]) -> tuple[bytes, dict[str, object], list[dict[str, object]]]:
+    """The quantised scene, column by column, what ``page.js`` needs to unpack it, and the same of each style."""
     columns = [columns_of(style) for style in styles]
     order = morton_order(columns[0].means)
     means, _, scales, opacities, _ = (column[order] for column in columns[0])
@@ -108,14 +128,17 @@ def _packed(titles: list[str], styles: list[Splats]) -> tuple[bytes, dict[str, o
         entries.append({"title": title, "rotation": rotation})
         colors.append(in_bytes((style.harmonics[order, 0] * CONSTANT + 0.5) * 255).T.tobytes())
     shared = (column.T.tobytes() for column in (positions, sizes, in_bytes(opacities * 255)))
-    return b"".join((*rotations, *shared, *colors)), {
-        "count": len(means),
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "scales": [smallest, largest],
-        "rotations": list(range(len(rotations))),
-        "styles": entries,
-    }
+    return (
+        b"".join((*rotations, *shared, *colors)),
+        {
+            "count": len(means),
+            "low": low.tolist(),
+            "high": high.tolist(),
+            "scales": [smallest, largest],
+            "rotations": list(range(len(rotations))),
+        },
+        entries,
+    )
 
 
 def _looking_at(means: Float[Tensor, "N 3"], opacities: Float[Tensor, " N"]) -> Cameras:

@@ -19,6 +19,7 @@ from anystyle_start import results
 from anystyle_start.jobs import Jobs
 from anystyle_start.library import ACTIVE, Library, Record, Settings
 from anystyle_start.live import Viewers
+from anystyle_start.masks import Masks
 from anystyle_start.progress import steps_of
 from anystyle_start.uploads import LIMITS, PART, Uploads, save_pictures, small_pictures, suffixes
 from anystyle_start.words import QUALITIES, command_words, painting_names, shown_command
@@ -45,7 +46,7 @@ class Actions(AbstractContextManager["Actions"]):
 
     def __init__(self, folder: Path, program: Sequence[str]) -> None:
         self.library, self.program = Library(folder), program
-        self.uploads, self.viewers = Uploads(self.library), Viewers(program)
+        self.uploads, self.masks, self.viewers = Uploads(self.library), Masks(self.library), Viewers(program)
         self.jobs = Jobs(self.library, program, self.viewers.close)
         self.choices: dict[str, Any] = {
             "paintings": [{"name": name, "title": examples()[name].title} for name in painting_names()],
@@ -99,6 +100,8 @@ class Actions(AbstractContextManager["Actions"]):
         full = self._short(scene, record) | {
             "files": [path.name for path in self.library.inputs(scene)],
             "thumbnails": self._thumbnails(scene),
+            "masks": self.masks.of(scene),
+            "transparent": record.transparent,
             "settings": asdict(record.settings),
             **{name: getattr(job, name) for name in ("number", "error", "notes", "seconds")},
             "reasons": failed[1].split("; ") if failed else [],
@@ -143,6 +146,10 @@ class Actions(AbstractContextManager["Actions"]):
                 return _inside(self.library.pictures(), name)
             case "thumbnail", scene, name:
                 return _inside(self.library.thumbnails(scene), name)
+            case "photograph", scene, name:
+                return self.masks.shown(scene, name)
+            case "mask", scene, name:
+                return _inside(self.library.masks(scene), f"{name}.png")
             case _, scene, number, *rest if number.isdecimal():
                 file = self._made(kind, scene, int(number), rest)
                 return file if file is not None and file.is_file() else None
@@ -176,6 +183,8 @@ class Actions(AbstractContextManager["Actions"]):
                     raise UserError("an upload without a size; load the page again")
                 name, upload, (offset, total) = query.get("name", ""), query.get("upload", ""), map(int, numbers)
                 return {"name": self.uploads.receive(scene, name, upload, offset, total, body)}
+            case ["scenes", scene, "masks"]:
+                return {"name": self.masks.keep(scene, query.get("name", ""), body.read())}
         text = body.read(_MAX_MESSAGE) or b"{}"
         match words:
             case ["scenes"]:
@@ -200,7 +209,10 @@ class Actions(AbstractContextManager["Actions"]):
             case "delete":
                 self._delete(scene)
             case "remove":
+                self.masks.forget(scene, message.name)
                 self.uploads.remove(scene, message.name)
+            case "unmask":
+                self.masks.clear(scene)
             case "live":
                 record, number = self._finished(scene)
                 words = [word for word in record.job.words[1:] if word.startswith(("method", "model"))]
@@ -238,7 +250,8 @@ class Actions(AbstractContextManager["Actions"]):
         if record.kind is None:
             raise UserError("there is nothing to make a scene of; add photographs, a film or a splat")
         source = record.source or str(inputs[0] if record.kind != "photographs" else inputs[0].parent)
-        words = command_words(settings, record.kind, source, self.library.pictures())
+        masks = self.library.masks(scene) if self.masks.of(scene) else None
+        words = command_words(settings, record.kind, source, self.library.pictures(), masks)
         self.jobs.submit(scene, settings, words)
 
     def _delete(self, scene: str) -> None:

@@ -36,6 +36,7 @@ class Settings:
     strength: float = 1.0  # in [0, 1]
     preserve_color: float = 0.0  # in [0, 1]
     scale: float = 1.0  # size of strokes
+    masked: Literal["ignored", "empty"] = "ignored"  # what masks mark: not of the scene, or nothing is there
     method: str = "branch"  # a plugin or preset of the kind ``method``
     more: Text = ""  # more arguments of the command line
 
@@ -61,6 +62,7 @@ class Record:
     created: float = 0.0  # seconds since 1970
     kind: Kind | None = None  # what the scene is made of; ``None`` while nothing was uploaded
     source: str = ""  # ``example:NAME`` for an example
+    transparent: tuple[str, ...] = ()  # photographs with an alpha channel
     settings: Settings = field(default_factory=Settings)  # of the latest run
     job: Job = field(default_factory=Job)  # the latest run
     result: int | None = None  # the number of the run whose results are shown
@@ -140,6 +142,10 @@ class Library:
     def thumbnails(self, scene: str) -> Path:
         """The folder of small pictures of its inputs."""
         return self.path(scene) / "thumbnails"
+
+    def masks(self, scene: str) -> Path:
+        """The folder of masks of its photographs."""
+        return self.path(scene) / "masks"
 
     def uploads(self, scene: str) -> Path:
         """The folder of files whose upload has not ended."""

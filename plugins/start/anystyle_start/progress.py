@@ -10,6 +10,7 @@ _LINE = re.compile(r"(\w+) (.*) …")
 _COUNT = re.compile(r"(\d+)(?: of |/)(\d+)")
 _LEFT = re.compile(r"(\d+) s left")
 _CACHED = "read from the cache"
+_UNMASKED = "photographs have no mask in "
 
 STEPS: Mapping[str, tuple[tuple[str, tuple[str, ...], float], ...]] = {
     "fitted": (
@@ -59,7 +60,8 @@ def follow(state: State, line: str, kind: Kind | None) -> State:
     steps = steps_of(kind)
     known = {stage: index for index, (_, stages, _) in enumerate(steps) for stage in stages}
     if match is None or match[1] not in known:
-        is_note = line and not line[0].isspace() and not line.startswith("Traceback") and line not in state.notes
+        untold = (*state.notes, "") if _UNMASKED not in line else (line,)  # the page shows which have masks
+        is_note = line not in untold and not line[0].isspace() and not line.startswith("Traceback")
         return replace(state, notes=(*state.notes, line[:1000])[-20:]) if is_note else state
     stage, rest = match.groups()
     step = known[stage]

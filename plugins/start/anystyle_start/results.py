@@ -15,6 +15,7 @@ from anystyle.errors import UserError
 from anystyle.examples import examples
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import read_json
+from anystyle.pipeline.saved import OWN, UNSTYLED
 from anystyle.registry.catalog import catalog
 from anystyle_start.library import ERROR
 from anystyle_start.uploads import SIDE
@@ -109,17 +110,20 @@ def download(run: Path, files: Path, name: str, style: str, program: Sequence[st
         run: The results.
         files: Where more files of them are stored.
         name: A plugin of kind ``format``, or ``zip`` for all results.
-        style: The number of a style, or ``all`` for formats that hold several.
+        style: The number of a style, ``unstyled``, or ``all`` for formats that hold several.
         program: The words that start ``anystyle``.
     """
     known, styles = formats(), styles_of(run, read_report(run))
     if name not in known:
         raise UserError(f"no format is named {name[:40]!r}; there are {', '.join(known)}")
-    if style != ALL and not (style.isdecimal() and int(style) < len(styles)):
+    unstyled = run / f"{UNSTYLED}{OWN}"
+    if style == UNSTYLED and (name == ARCHIVE or not unstyled.is_file()):
+        raise UserError("the unstyled scene is one file of an archive of all styles; choose these, or another format")
+    if style not in (ALL, UNSTYLED) and not (style.isdecimal() and int(style) < len(styles)):
         raise UserError("this style is not there any more; load the page again")
     if style == ALL and not known[name] and len(styles) > 1:
         raise UserError(f"a {name} file holds one style; choose one")
-    source = run if style == ALL else styles[int(style)].folder
+    source = run if style == ALL else unstyled if style == UNSTYLED else styles[int(style)].folder
     if name in ("html", "ply") and (source / f"scene.{name}").is_file():
         return source / f"scene.{name}"
     target = files / f"{style}.{name}"

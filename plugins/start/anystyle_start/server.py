@@ -53,7 +53,7 @@ class Application:
         self._static = {
             "/": (_HTML, Template(text("start.html")).substitute(token=self.token)),
             "/start.css": ("text/css; charset=utf-8", text("start.css")),
-            "/start.js": ("text/javascript; charset=utf-8", text("start.js")),
+            **{f"/{name}": ("text/javascript; charset=utf-8", text(name)) for name in ("start.js", "masks.js")},
         }
 
     def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:

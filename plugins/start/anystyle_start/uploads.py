@@ -16,7 +16,7 @@ from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.io.atomic import atomic_path
 from anystyle.registry.catalog import catalog
-from anystyle_start.library import ACTIVE, Kind, Library
+from anystyle_start.library import ACTIVE, Kind, Library, Record
 
 PART = 8 << 20
 """The largest part of a file in bytes."""
@@ -102,14 +102,18 @@ class Uploads:
                 self._admitted(scene, name, named.stat().st_size)
                 folder = self.library.path(scene) / "input"
                 folder.mkdir(exist_ok=True)
-                stem = re.sub(r"[^\w-]+", "-", Path(name).stem).strip("-")[:60] or "photograph"
+                stem = stem_of(name)
                 final = folder / f"{distinct([*(path.stem for path in folder.iterdir()), stem], '-')[-1]}{named.suffix}"
                 save_pictures(pictures, self.library.thumbnails(scene), final.name)
                 named.rename(final)
                 title = stem.replace("-", " ") * (kind != "photographs")
-                self.library.update(
-                    scene, lambda record: replace(record, kind=kind, title=record.title or title, source="")
-                )
+                transparent = (final.name,) if kind == "photographs" and images.open_alpha(final) else ()
+
+                def added(record: Record) -> Record:
+                    named = replace(record, kind=kind, title=record.title or title, source="")
+                    return replace(named, transparent=tuple({*record.transparent, *transparent}))
+
+                self.library.update(scene, added)
             return final.name
         except UserError as error:
             raise UserError(str(error).replace(str(named), name[:80])) from None
@@ -129,6 +133,11 @@ class Uploads:
                             picture.unlink()
             if not self.library.inputs(scene):
                 self.library.update(scene, lambda record: replace(record, kind=None))
+
+
+def stem_of(name: str) -> str:
+    """What a file is called in a scene, without suffix."""
+    return re.sub(r"[^\w-]+", "-", Path(name).stem).strip("-")[:60] or "photograph"
 
 
 def small_pictures(kind: str, path: Path) -> Sequence[Image.Image]:

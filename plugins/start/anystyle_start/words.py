@@ -17,10 +17,13 @@ from anystyle_start.library import Kind, Settings
 QUALITIES = ("draft", "good", "best")
 
 
-def command_words(settings: Settings, kind: Kind | None, inputs: str, pictures: Path) -> list[str]:
+def command_words(
+    settings: Settings, kind: Kind | None, inputs: str, pictures: Path, masks: Path | None = None
+) -> list[str]:
     """The arguments of ``anystyle stylize`` without ``--out``; a UserError says which of the settings makes no sense.
 
-    ``inputs`` of a ``kind`` are a folder, a file, or an example; ``pictures`` is the folder of uploaded pictures.
+    ``inputs`` of a ``kind`` are a folder, a file, or an example; ``pictures`` is the folder of uploaded pictures,
+    ``masks`` that of masks of photographs, where there are some.
     """
     for text in settings.texts:
         check_text(text, "the style in words")
@@ -32,6 +35,9 @@ def command_words(settings: Settings, kind: Kind | None, inputs: str, pictures: 
     ours = {key: word for key, word in _overrides(settings, kind).items() if key not in given}
     if {"reconstruction", "poses"} & given:  # what is left of ours may not fit to the choice
         ours = {key: word for key, word in ours.items() if key == "method"}
+    if masks is not None and "views.masks" not in given:
+        further = ["--photo-masks", str(masks), *further]
+        ours |= {"views.masked": "views.masked=empty"} if settings.masked == "empty" else {}
     words = [*Request((inputs,), styles).args(), *mix, *Request(controls=(controls,)).args(), *ours.values(), *further]
     Request.from_args(words).check()
     return words

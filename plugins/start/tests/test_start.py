@@ -2,10 +2,16 @@
 
 import json
 import shlex
+from io import BytesIO
+from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from anystyle.data.photo_masks import find_masks
 from anystyle.errors import UserError
+from anystyle.pipeline.request import Request
 from anystyle_start.library import Library, Settings
 from anystyle_start.progress import State, follow
 from anystyle_start.server import StartServer
@@ -51,9 +57,12 @@ def test_only_the_own_page_may_ask(client, method, path, changes, status):
 
 def test_no_address_leads_out_of_a_scene(client):
     scene = client.made("a.jpg")
-    for path in ("..%2F..%2Fscene.json", "..%2F..%2Finput%2Fa.jpg", "a.jpg"):
-        assert client.ask("GET", f"/thumbnail/{scene}/{path}")[0] == 404
-    assert client.ask("GET", f"/thumbnail/{scene}/a.jpg.00.jpg")[0] == 200
+    for path in ("..%2F..%2Fscene.json", "..%2F..%2Finput%2Fa.jpg", "a.png"):
+        for kind in ("thumbnail", "photograph", "mask"):
+            assert client.ask("GET", f"/{kind}/{scene}/{path}")[0] == 404
+    assert [
+        client.ask("GET", f"/{each}")[0] for each in (f"thumbnail/{scene}/a.jpg.00.jpg", f"photograph/{scene}/a.jpg")
+    ] == [200, 200]
 
 
 def test_uploads_come_in_parts_under_names_of_their_own(client, started):
@@ -169,6 +178,62 @@ def test_what_ran_when_the_program_ended_is_interrupted_and_goes_on_when_asked(t
         assert state_of(client, scene, "done")["thumbnails"] == ["a.jpg.00.jpg"]
 
 
+def mask(white, size=(32, 24)):
+    """A mask whose left half is white, or all of it."""
+    picture, data = Image.new("L", size, 255 * (white == "all")), BytesIO()
+    picture.paste(255, (0, 0, size[0] // 2, size[1]))
+    picture.save(data, "PNG")
+    return data.getvalue()
+
+
+def test_masks_are_kept_by_the_names_of_photographs_and_the_run_reads_them(client, started, tmp_path):
+    scene, library = client.made("IMG%201.jpg", "b.jpg", "c.jpg", "d.jpg"), started.application.actions.library
+
+    def send(name, content):
+        return client.post(f"/scenes/{scene}/masks?name={name}", content)
+
+    named = [("IMG%201.png", "IMG-1.jpg"), ("B.JPG.png", "b.jpg"), ("c.jpg", "c.jpg"), ("d.png", "d.jpg")]
+    assert [send(name, mask("half"))["name"] for name, _ in named] == [photograph for _, photograph in named]
+    assert send("d.jpg", mask("all")) == {"name": "d.jpg"}  # nothing is marked any more
+    refusals = {
+        ("e.png", mask("half")): "e.png is named like none of the photographs",
+        ("b.png", mask("half", (90, 24))): "the mask b.png has 90x24 pixels, and b.jpg 64x48",
+        ("b.png", b"text"): "b.png",
+    }
+    for (name, content), error in refusals.items():
+        answer = send(name, content)["error"]
+        assert error in answer and "\n" not in answer and "masks/" not in answer
+    client.post(f"/scenes/{scene}/remove", {"name": "c.jpg"})
+    folder = library.masks(scene)
+    assert sorted(path.name for path in folder.iterdir()) == ["IMG-1.jpg.png", "b.jpg.png"]
+    assert list(client.scene(scene)["masks"]) == ["b.jpg", "IMG-1.jpg"]
+    assert client.ask("GET", f"/mask/{scene}/b.jpg")[1] == (folder / "b.jpg.png").read_bytes()
+    client.post(f"/scenes/{scene}/run", {"texts": ["wait"], "masked": "empty"})
+    state_of(client, scene, "running")
+    assert "cancel that" in send("b.jpg", mask("half"))["error"]
+    client.post(f"/scenes/{scene}/cancel")
+    request = Request.from_args([*library[scene].job.words])
+    assert request.views.masked == "empty"
+    found = find_masks(Path(request.views.masks), library.inputs(scene))
+    assert {path.name: file.name for path, file in found.items()} == {
+        "IMG-1.jpg": "IMG-1.jpg.png",
+        "b.jpg": "b.jpg.png",
+    }
+    levels = np.asarray(Image.open(found[library.inputs(scene)[0]]))
+    assert (levels[:, :16] == 255).all() and (levels[:, 16:] == 0).all()
+    client.post(f"/scenes/{scene}/unmask")
+    assert client.scene(scene)["masks"] == {}
+    run(client, scene, "more")
+    assert "--photo-masks" not in state_of(client, scene, "done")["result"]["command"]
+
+
+def test_a_photograph_that_is_cut_out_is_named(client):
+    scene, data = client.made("a.jpg"), BytesIO()
+    Image.new("RGBA", (64, 48), (200, 0, 0, 0)).save(data, "PNG")
+    client.upload(scene, "b.png", data.getvalue())
+    assert client.scene(scene)["transparent"] == ["b.png"]
+
+
 @pytest.mark.parametrize(
     ("settings", "error"),
     [
@@ -207,6 +272,7 @@ def test_the_command_line_that_is_shown_has_the_words_of_the_run(photographs, tm
 LINES = """\
 load the model …
 read the photographs …
+10 of 12 photographs have no mask in /a/folder and count whole: 03.jpg
 cameras of 12 photographs …
 cameras features: 6 of 12 …
 cameras matches: 40 of 66 …

@@ -1,10 +1,12 @@
 """The start page as people use it: Chromium drops, types, waits, looks, downloads; the program is the real one."""
 
+import json
 import os
 import re
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -98,6 +100,9 @@ def test_from_a_dropped_splat_to_a_download(server, browser, page, errors, tmp_p
     page.evaluate("document.querySelector('[aria-label=Format]').dispatchEvent(new Event('change'))")
     before, after = Gaussians.load(scene), Gaussians.load(downloaded(page, tmp_path / "scene.ply"))
     assert torch.equal(before.means, after.means) and not torch.equal(before.harmonics, after.harmonics)
+    page.select_option("[aria-label=Style]", "unstyled")
+    assert torch.equal(Gaussians.load(downloaded(page, tmp_path / "unstyled.ply")).harmonics, before.harmonics)
+    page.select_option("[aria-label=Style]", "0")
     for name in ("spz", "zip"):
         page.evaluate(f"document.querySelector('[aria-label=Format]').value = {name!r}")
         file = downloaded(page, tmp_path / f"scene.{name}")
@@ -126,16 +131,63 @@ def test_photographs_without_cameras_get_reasons_and_advice(server, page, tmp_pa
     assert page.evaluate("document.getElementById('more').value") == "reconstruction=feedforward poses=predicted"
 
 
+def draw_on(tab, server, name):
+    """Brush a line and click the sky of a photograph; the mask is black there. Returns its file."""
+    tab.click(f"[aria-label='Mark in {name}']")
+    wait(
+        tab, "document.querySelector('.editor canvas').width > 400 && !document.querySelector('.editor .main').disabled"
+    )
+    box = tab.locator(".marks").bounding_box()
+
+    def at(x, y):
+        return box["x"] + x * box["width"], box["y"] + y * box["height"]
+
+    tab.mouse.move(*at(0.2, 0.9))
+    tab.mouse.down()
+    tab.mouse.move(*at(0.8, 0.9), steps=4)
+    tab.mouse.up()
+    tab.mouse.click(*at(0.5, 0.7))
+    click(tab, "Undo")  # the dot
+    click(tab, "Area", ".editor label")
+    tab.mouse.click(*at(0.5, 0.03))  # blue sky
+    click(tab, "Done")
+    says(tab, "1 of 3 have masks")
+    (scene,) = server.application.actions.library.scenes()
+    file = server.application.actions.library.masks(scene) / f"{name}.png"
+    white = np.asarray(Image.open(file)) > 127
+    height, width = white.shape
+    with Image.open(resolved(Path("example:street")) / name) as photograph:
+        colors = np.asarray(photograph.convert("RGB").resize((width, height))).astype(int)
+    assert width == 1024 and abs(width / height / (photograph.width / photograph.height) - 1) < 0.01
+    line = white[int(0.9 * height)]
+    assert not line[int(0.19 * width) : int(0.81 * width)].any()
+    assert line[: int(0.15 * width)].all() and line[int(0.85 * width) :].all()
+    assert white[int(0.6 * height) : int(0.84 * height)].all()
+    sky = ~white[: height // 2]
+    near = np.abs(colors[: height // 2] - colors[int(0.03 * height), width // 2]).max(-1) < 20
+    assert (sky & near).sum() > 0.9 * near[:60].sum() and sky.mean() > 0.1
+    tab.click(f"[aria-label='Mark in {name}']")  # it can be changed, and closed without a change
+    wait(tab, "!document.querySelector('.editor .main').disabled")
+    pixels = "[...document.querySelector('.marks').getContext('2d').getImageData(100, 10, 1, 1).data]"
+    assert tab.evaluate(pixels)[3] == 255 * (not white[10, 100])
+    tab.keyboard.press("Escape")
+    assert not tab.evaluate("document.querySelector('.editor').open")
+    return file
+
+
 def test_a_run_is_cancelled_and_a_scene_deleted_when_confirmed(page, tmp_path):
     with StartServer(tmp_path / "kept", 0, pretended(tmp_path)) as server:
         opened(page, server)
         drop(page, *sorted(resolved(Path("example:street")).glob("0[1-3].jpg")))
         says(page, "3 photographs")
+        masked = draw_on(page, server, "02.jpg")
         make(page, "wait", "")
         says(page, "Building the scene: step 1 of 4")
         spoken = page.evaluate("document.getElementById('said').textContent")
         assert re.fullmatch(r"Build, \d+ percent done\.", spoken)
         assert {("progressbar", "Progress"), ("button", "Cancel"), ("image", "02.jpg")} <= {*accessible(page)}
+        (record,) = server.application.actions.library.scenes().values()
+        assert record.job.words[record.job.words.index("--photo-masks") + 1] == str(masked.parent)
         click(page, "Cancel")
         says(page, "Cancelled")
         unnamed = {role for role, name in accessible(page) if not name.strip()}
@@ -157,13 +209,28 @@ def test_from_dropped_photographs_to_a_scene_that_is_restyled_live(browser, tmp_
         opened(tab, server)
         drop(tab, *sorted(resolved(Path("example:street")).glob("*.jpg")))
         says(tab, "12 photographs")
+        picture = Image.new("L", (504, 378), 255)
+        picture.paste(0, (0, 0, 504, 100))
+        for name in ("01.png", "02.jpg.png"):
+            picture.save(tmp_path / name)
+        tab.locator("label:has-text('Add masks') input").set_input_files([tmp_path / "01.png", tmp_path / "02.jpg.png"])
+        says(tab, "2 of 12 have masks")
         tab.click("input[value='draft']")
         click(tab, "Make the scene")
         wait(tab, "!!document.querySelector('iframe')", 900)
         says(tab, "12 of 12")
         says(tab, "found, and confirmed by a second method")
         tab.screenshot(path=tmp_path / "made.png")
+        (report,) = (tmp_path / "kept").glob("scenes/*/runs/1/report.json")
+        used = json.loads(report.read_text())["reconstruction"]["masks"]
+        assert used["photographs"] == 2 and abs(used["ignored"] - 2 / 12 * 100 / 378) < 0.01
+        inside = tab.frame_locator("iframe")
+        inside.locator("label input").first.check(timeout=60000)
         click(tab, "Try further styles live")
         wait(tab, "document.querySelector('.stage').classList.contains('live')", 300)
-        assert tab.evaluate("document.querySelector('iframe').src").startswith("http://127.0.0.1:")
+        assert re.fullmatch(
+            r"http://127.0.0.1:\d+/#style=unstyled", tab.evaluate("document.querySelector('iframe').src")
+        )
+        says_inside = tab.frame_locator("iframe").get_by_text("Shown: unstyled")
+        says_inside.wait_for(timeout=120000)
         assert not errors

@@ -23,6 +23,7 @@ from anystyle.io.sheet import to_pil
 from anystyle.io.video import write_video
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.types import Cameras, Gaussians
+from anystyle_formats.views import best_view
 
 FPS, PREVIEW_FPS = 30, 15
 
@@ -39,6 +40,8 @@ class CameraPath:
         """From the first camera to the scene: the median depth."""
         self.field_of_view = 2 * math.atan(self.cameras.size[0] / 2 / float(self.cameras.intrinsics[0, 0, 1, 1]))
         """Vertical, of the first camera, in radians."""
+        self.opening = best_view(unstyled.means[0], unstyled.opacities[0], self.cameras)
+        """The camera from which a browser looks at first."""
 
     def preview(self, client: viser.ClientHandle, seconds: int) -> None:
         """Move a browser's camera along the path."""
@@ -74,9 +77,9 @@ class CameraPath:
         return replace(self.cameras, world_from_camera=torch.stack(self.keyframes)[None], intrinsics=intrinsics)
 
     def thumbnail(self, gaussians: Gaussians, height: int) -> Float[Tensor, "3 _ _"]:
-        """The scene from the first camera, sRGB in [0, 1]."""
+        """The scene as it is seen at first, sRGB in [0, 1]."""
         width = round(self.cameras.size[1] * height / self.cameras.size[0])
-        return next(self._render(gaussians, self.cameras.select([0]).resized((height, width))))
+        return next(self._render(gaussians, self.cameras.select([self.opening]).resized((height, width))))
 
 
 def pose_of(camera: viser.CameraHandle) -> Float[Tensor, "4 4"]:
@@ -138,7 +141,7 @@ class ClientView:
                 "Before | after", 0.0, 1.0, 0.01, 0.0, hint="Left of the line is the scene without style"
             )
             self.line = client.gui.add_html("")
-            self.cameras = client.gui.add_checkbox("Cameras", True)
+            self.cameras = client.gui.add_checkbox("Cameras", False, hint="Click one to look from there")
         self._add_frusta(encoded)
         self.unstyled.on_update(lambda event: event.client and self.refresh())
         self.split.on_update(lambda event: event.client and self.refresh())
@@ -197,6 +200,7 @@ class ClientView:
                 image=np.asarray(image),
                 wxyz=wxyz_from_matrix(pose[:3, :3]).double().numpy(),
                 position=pose[:3, 3].double().numpy(),
+                visible=False,
             )
             frustum.on_click(partial(self._go_to, pose.double().numpy()))
             self._frusta.append(frustum)

@@ -51,12 +51,13 @@ def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -
     with stages("load", "the model"):
         model = load_model(request)
     encoded = encode_inputs(request, model, stages)
-    styles, notes = {}, [*license_lines(licenses(model.weights)), *encoded.notes]
+    styles, pictures, notes = {}, {}, [*license_lines(licenses(model.weights)), *encoded.notes]
     if is_saved(path) and path.is_dir():
         saved = read_saved(path)
         styles = {title: scene for title, scene in saved.styles if title != UNSTYLED}
-        notes = list(dict.fromkeys((*saved.notes, *notes)))
-    return Session(Restyler(encoded, model.method, keep=CACHE_SIZE), saved=styles, folder=folder, notes=notes)
+        notes, pictures = list(dict.fromkeys((*saved.notes, *notes))), saved.pictures
+    restyler = Restyler(encoded, model.method, keep=CACHE_SIZE)
+    return Session(restyler, saved=styles, folder=folder, notes=notes, pictures=pictures)
 
 
 class View(Command):

@@ -29,6 +29,11 @@
     }
   };
 
+  // The style that was looked at where a link led here; viser would take the fragment for a part of its server's address.
+  const opened = new URLSearchParams(location.hash.slice(1)).get("style");
+  history.replaceState(null, "", location.pathname + location.search);
+  if (opened) send("/saved", opened);
+
   const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
   let ends;
   const over = (event) => {

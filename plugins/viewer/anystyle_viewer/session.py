@@ -7,6 +7,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from shlex import join
 
+from PIL import Image
+
+from anystyle.data.images import open_image
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.cache import LRUCache
@@ -70,14 +73,18 @@ class Session:
         saved: Mapping[str, Gaussians] | None = None,
         folder: Path | None = None,
         notes: Sequence[str] = (),
+        pictures: Mapping[str, Image.Image] | None = None,
     ) -> None:
         self.restyler, self.saved, self.folder, self.notes = restyler, dict(saved or {}), folder, tuple(notes)
+        self._pictures = dict(pictures or {})
         # Called from the background thread when another style is ready, and when :attr:`status` has changed.
         self.on_change: Callable[[], None] = lambda: None
         self.on_status: Callable[[], None] = lambda: None
         restored = (kept_json(folder / "session.json", SavedSession) if folder is not None else None) or SavedSession()
         self.recent = list(restored.recent)
         self.current, self.gaussians = StyleRequest(), restyler.unstyled
+        self.wanted = StyleRequest()
+        """The latest request, which may not be finished."""
         self.status, self.done = "", None
         self.in_progress: StyleRequest | None = None
         self._embedded: LRUCache[tuple[str, str, float], EmbeddedStyle] = LRUCache(CACHE_SIZE)
@@ -88,11 +95,13 @@ class Session:
         self._thread.start()
         if restored.request != StyleRequest():
             self.request(restored.request)
+        elif self.saved:
+            self.request(StyleRequest(list(self.saved)[-1]))
 
     def request(self, request: StyleRequest) -> None:
         """Ask for a style; replaces earlier requests that are not finished."""
         with self._wake:
-            self._pending = request
+            self.wanted = self._pending = request
             self._wake.notify()
 
     def close(self) -> None:
@@ -114,6 +123,11 @@ class Session:
             for style, request in requests
             if style in self.saved or request in self._scenes
         }
+
+    def pictures(self) -> dict[str, Image.Image]:
+        """The pictures of styles that are given as images, by title."""
+        uploaded = {style: self.image_file(style) for style in self.recent}
+        return self._pictures | {title_of(style): open_image(file) for style, file in uploaded.items() if file}
 
     def notes_on(self, styles: Sequence[str]) -> tuple[str, ...]:
         """Where the scene in some styles comes from, for its files."""
@@ -189,6 +203,9 @@ class Session:
         self.on_status()
 
     def _save(self, request: StyleRequest) -> None:
-        self.recent = list(dict.fromkeys((*request.styles, *self.recent)))[:MAX_RECENT]
+        # The title of a saved style would be a text to a session on another scene.
+        asked = [style for style in request.styles if style not in self.saved]
+        self.recent = list(dict.fromkeys((*asked, *self.recent)))[:MAX_RECENT]
         if self.folder is not None:
-            write_json(self.folder / "session.json", asdict(SavedSession(tuple(self.recent), request)))
+            kept = request if len(asked) == len(request.styles) else StyleRequest()
+            write_json(self.folder / "session.json", asdict(SavedSession(tuple(self.recent), kept)))

@@ -13,6 +13,7 @@ from torch import Tensor
 from anystyle.errors import UserError, one_line
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.export import export, export_styles
+from anystyle.pipeline.saved import UNSTYLED
 from anystyle.registry.catalog import catalog
 from anystyle.types import Gaussians, StyledScene
 from anystyle_viewer.client_view import CameraPath, ClientView, pose_of, splat_arrays
@@ -41,7 +42,6 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         self._thumbnails: dict[str, str] = {}
         self._before = self._after = splat_arrays(self.unstyled, self.path)
         self._shown: StyleRequest | None = None
-        self.style = session.current.style
         self._set_first_camera()
         self._add_style_controls()
         self._add_place_controls()
@@ -49,7 +49,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         self._add_save_controls()
         session.on_change, session.on_status = self._style_changed, self._show_status
         self._style_changed()
-        saved = session.saved.items()
+        saved = [("", self.unstyled), *session.saved.items()]
         threading.Thread(target=lambda: [self._render_thumbnail(*one) for one in saved], daemon=True).start()
         self.viser.on_client_connect(self._connected)
         self.viser.on_client_disconnect(self._disconnected)
@@ -60,6 +60,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             on_post={
                 "/picture": lambda query, body: self.request(str(store_upload(folder, query.get("name", ""), body))),
                 "/style": lambda _, body: self.request(body.decode("utf-8", errors="replace")),
+                "/saved": lambda _, body: self._open(body.decode("utf-8", errors="replace")),
             },
             max_body=MAX_UPLOAD,
         )
@@ -77,10 +78,9 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
     def _set_first_camera(self) -> None:
         self.viser.gui.configure_theme(control_width="medium", show_share_button=False, show_logo=False)
         self.viser.scene.set_up_direction((0.0, -1.0, 0.0))
-        pose = self.encoded.cameras.world_from_camera[0, 0].cpu().double().numpy()
+        pose = self.path.cameras.world_from_camera[0, self.path.opening].double().numpy()
         camera = self.viser.initial_camera
-        # Behind the first camera of the photographs, so that its frustum is seen and covers little.
-        camera.position, camera.up = pose[:3, 3] - pose[:3, 2] * self.path.distance / 4, -pose[:3, 1]
+        camera.position, camera.up = pose[:3, 3], -pose[:3, 1]
         camera.look_at = pose[:3, 3] + pose[:3, 2] * self.path.distance
         camera.fov = self.path.field_of_view
         camera.near = self.path.distance / 1000
@@ -117,7 +117,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         upload.on_upload(lambda event: self._uploaded(event.target.value))
         for control in (self.second, self.amount, self.strength, self.preserve):
             # Values that the program sets come without a client.
-            control.on_update(lambda event: event.client and self.request(self.style))
+            control.on_update(lambda event: event.client and self.request(self.session.wanted.style))
 
     def _add_place_controls(self) -> None:
         gui = self.viser.gui
@@ -130,14 +130,14 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
 
         everywhere.on_click(lambda _: self._pick(None))
         for control in (self.reach, self.tolerance):
-            control.on_update(lambda event: event.client and self.request(self.style))
+            control.on_update(lambda event: event.client and self.request(self.session.wanted.style))
         self.viser.scene.on_click(modifier="shift")(
             lambda event: self._pick(surface_point(self.unstyled, event.ray_origin, event.ray_direction))
         )
 
     def _pick(self, point: Vector | None) -> None:
         self._point = point
-        self.request(self.style)
+        self.request(self.session.wanted.style)
 
     def _place(self) -> str:
         """Where the style goes, in the words of ``--mask``."""
@@ -183,12 +183,16 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
 
     def request(self, style: str) -> None:
         """Request a style with the current values of the controls."""
-        self.style = style
         second = next((other for other in self.session.styles() if title_of(other) == self.second.value), "")
         mixed = bool(style and second and second != style)
         mixture = (second, self.amount.value) if mixed else ("", 0.5)
         controls = (self.strength.value, float(self.preserve.value), self._place())
         self.session.request(StyleRequest(style, *mixture, *controls))
+
+    def _open(self, title: str) -> None:
+        """Request a saved style that the page's address names; another page may have written that address."""
+        if title in self.session.saved or title == UNSTYLED:
+            self.request(title if title != UNSTYLED else "")
 
     def _uploaded(self, file: viser.UploadedFile) -> None:
         try:
@@ -255,7 +259,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             styles[title] = styles.pop(title)  # the last one is shown at first
             given = tuple(styles.items()), self.encoded.cameras, tuple(self.encoded.names)
             notes, page_title = session.notes_on(session.styles()), Path(self._command_words[0]).stem
-            export_styles(StyledScene(*given, notes, page_title, offset=self.encoded.offset), path, "html")
+            shared = {"offset": self.encoded.offset, "pictures": session.pictures()}
+            export_styles(StyledScene(*given, notes, page_title, **shared), path, "html")
         else:
             lines = "\n".join((title, *session.notes_on(session.current.styles)))
             export(session.gaussians, path, path.name.partition(".")[2], notes=lines, offset=self.encoded.offset)

@@ -44,7 +44,7 @@ def visit(page, viewer):
     wait(page, "document.body && document.body.innerText.includes('Preserve colour')")
     (number,) = until(lambda: set(viewer._views) - before)
     view = viewer._views[number]
-    view.show_cameras(False)
+    assert not view.cameras.value and not any(frustum.visible for frustum in view._frusta)
     view.client.camera.position, view.client.camera.look_at = (0.0, 0.0, 0.0), (0.0, 0.0, 3.0)
     view.client.camera.fov = 2 * math.atan(SIZE[0] / 2 / FOCAL)
     return view

@@ -140,9 +140,10 @@ def test_a_bug_of_a_method_is_said_and_logged_and_the_next_style_is_painted(rest
     session.close()
 
 
-def test_saved_styles_are_scenes_that_controls_and_mixtures_hold_for(restyler):
+def test_saved_styles_are_scenes_that_controls_and_mixtures_hold_for(restyler, tmp_path):
     one, other = (replace(restyler.unstyled, harmonics=restyler.unstyled.harmonics * factor) for factor in (0.5, -1.0))
-    session = Session(restyler, saved={"starry_night": one, "other": other})
+    session = Session(restyler, saved={"starry_night": one, "other": other}, folder=tmp_path)
+    assert session.wanted.style == "other" and until(lambda: session.gaussians is other)  # as a page opens
     assert settled(session, StyleRequest("starry_night")) is one
     assert session.command("out/") == "# made from results in out/"
     half = settled(session, StyleRequest("starry_night", strength=0.5))
@@ -150,6 +151,9 @@ def test_saved_styles_are_scenes_that_controls_and_mixtures_hold_for(restyler):
     mixed = settled(session, StyleRequest("starry_night", "other", 0.25))
     torch.testing.assert_close(mixed.harmonics, torch.lerp(one.harmonics, other.harmonics, 0.25))
     session.close()
+    elsewhere = Session(restyler, folder=tmp_path)  # another scene, to which their titles would be texts
+    assert elsewhere.recent == [] and elsewhere.wanted == StyleRequest()
+    elsewhere.close()
 
 
 def test_what_cannot_be_painted_is_said_and_changes_nothing(restyler, session):
@@ -209,7 +213,7 @@ def test_a_picture_is_kept_once_and_another_of_its_name_beside_it(tmp_path, rest
     assert sorted((tmp_path / "kept").iterdir()) == sorted(set(kept))
     session = Session(restyler, folder=tmp_path / "kept")
     settled(session, StyleRequest(str(kept[0])))
-    assert f"--image {kept[0]}" in session.command("x")
+    assert f"--image {kept[0]}" in session.command("x") and list(session.pictures()) == [title_of(str(kept[0]))]
     # Another file of this machine is a text like any other.
     assert session.image_file(str(tmp_path / "red.jpg")) is None and session.image_file("../red.jpg") is None
     session.close()

@@ -118,12 +118,17 @@ def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:
 
 
 def _mask_of(masks: Mapping[Path, Path], path: Path | None, size: tuple[int, int]) -> Image.Image | None:
-    """Black and white, in the photograph's aspect; what is transparent is black, and of labels 0 and 1 1 is white."""
-    if path is None or path not in masks:
-        return None
-    mask, alpha = open_image(masks[path]).convert("L"), open_alpha(masks[path])
+    return None if path is None or path not in masks else read_mask(masks[path], path, size)
+
+
+def read_mask(file: Path, photograph: Path, size: tuple[int, int]) -> Image.Image:
+    """A mask in black and white; what is transparent is black, and of labels 0 and 1 1 is white.
+
+    A UserError says that it has not the aspect of the upright photograph, whose ``size`` is height and width in pixels.
+    """
+    mask, alpha = open_image(file).convert("L"), open_alpha(file)
     if abs(mask.width * size[0] / (mask.height * size[1]) - 1) > MAX_ASPECT_ERROR:
-        sizes = f"has {mask.width}x{mask.height} pixels, and {path.name} {size[1]}x{size[0]}, upright"
-        raise UserError(f"the mask {masks[path]} {sizes}; give a mask of the same aspect")
+        sizes = f"has {mask.width}x{mask.height} pixels, and {photograph.name} {size[1]}x{size[0]}, upright"
+        raise UserError(f"the mask {file} {sizes}; give a mask of the same aspect")
     levels = np.asarray(mask if alpha is None else ImageChops.multiply(mask, alpha))
     return Image.fromarray(np.where(levels > (127 if levels.max() > 1 else 0), 255, 0).astype(np.uint8))

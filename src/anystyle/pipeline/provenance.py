@@ -63,4 +63,4 @@ def anonymous(scene: StyledScene) -> StyledScene:
     titles = [title if title == "unstyled" else f"style {n}" for n, (title, _) in enumerate(scene.styles, first)]
     styles = zip(titles, (gaussians for _, gaussians in scene.styles), strict=True)
     names = tuple(f"view_{index:02d}" for index in range(len(scene.names)))
-    return replace(scene, styles=tuple(styles), names=names, notes=binding(scene.notes), title="")
+    return replace(scene, styles=tuple(styles), names=names, notes=binding(scene.notes), title="", pictures={})

@@ -26,7 +26,7 @@ from anystyle.pipeline.load import LoadedModel
 from anystyle.pipeline.provenance import MADE_OF, note, tables, without_folders
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
-from anystyle.pipeline.saved import save_gaussians, write_cameras, write_colmap
+from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, write_colmap
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
@@ -117,6 +117,8 @@ class Result:
     def write(self, folder: Path) -> Column:
         """Write all files into a folder that has none of them, and return the column of a sheet over several styles."""
         column = (self.style.title, self.style.cell, thumbnails(self._write_scene(folder)))
+        for picture in _pictures([self.style]).values():
+            picture.save(folder / PICTURE, quality=90)
         self.results.write_sheet(folder, [*self.results.before, column])
         write_json(folder / "report.json", self.report)
         return column
@@ -278,7 +280,8 @@ class Results:
         """The scene in styles, as files hold it."""
         notes, names = self.notes(embedded), tuple(self.encoded.names)
         lines, encoded = (title, *notes) if title else notes, self.encoded
-        return StyledScene(tuple(styles), encoded.cameras, names, lines, title, offset=encoded.offset)
+        shared, pictures = (encoded.cameras, names, lines, title), _pictures(embedded)
+        return StyledScene(tuple(styles), *shared, offset=encoded.offset, pictures=pictures)
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
         """Write ``sheet.png``: photographs, or of a given scene the renders that are its views, and some columns."""
@@ -296,6 +299,10 @@ class Results:
             return []
         with self.stages("render", "the unstyled scene"):
             return [("unstyled", None, thumbnails(list(map(to_pil, self.encoded.render(self.restyler.unstyled)))))]
+
+
+def _pictures(styles: Sequence[EmbeddedStyle]) -> dict[str, Image.Image]:
+    return {style.title: thumbnails([style.cell])[0] for style in styles if isinstance(style.cell, Image.Image)}
 
 
 def _anonymous(

@@ -14,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from anystyle.contracts import Format, StoredCamera
+from anystyle.data.images import open_image
 from anystyle.data.names import distinct, names_below, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
@@ -33,6 +34,8 @@ from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
 from anystyle.vision import weights
 
 UNSTYLED = "unstyled"
+PICTURE = "style.jpg"
+"""A small picture of the style, where it is an image."""
 OWN = ".safetensors"
 """The suffix of what :func:`save_gaussians` writes."""
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
@@ -221,7 +224,9 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     lines = (made, *weights.license_lines(report.licenses), *report.notes)
     notes = (*lines, *(MADE_OF + json.dumps(table) for table in whole.provenance))
-    return StyledScene(tuple(styles), cameras, names, notes, offset=whole.offset)
+    given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
+    pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
+    return StyledScene(tuple(styles), cameras, names, notes, offset=whole.offset, pictures=pictures)
 
 
 def _report(folder: Path) -> SavedReport:

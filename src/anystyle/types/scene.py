@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
+from PIL import Image
 from torch import Tensor
 
 from anystyle.io.splats import NEAR, Offset, Splats
@@ -133,6 +134,7 @@ class StyledScene:
         title: To display.
         up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
         offset: What was taken off the positions of Gaussians and cameras, in these axes.
+        pictures: Small images of styles that were given as one, by the titles of these.
     """
 
     styles: tuple[tuple[str, Gaussians], ...]
@@ -142,6 +144,7 @@ class StyledScene:
     title: str = ""
     up: str = "opencv"
     offset: Offset = NEAR
+    pictures: Mapping[str, Image.Image] = field(default_factory=dict)
 
     def splats(self, style: int = -1) -> Splats:
         """The tensors of the scene in one of its styles."""

@@ -96,8 +96,9 @@ def match(
         gray = Image.fromarray(photograph.pixels).convert("L")
         resized = gray if gray.size == (width, height) else gray.resize((width, height), Image.Resampling.LANCZOS)
         resized.save(folder / name)
-        if photograph.mask is not None:
-            mask = np.asarray(Image.fromarray(photograph.mask).resize((width, height)))
+        if any(one.mask is not None for one in photographs):  # COLMAP leaves out what has none, where one has
+            mask = np.full(photograph.size, 255, np.uint8) if photograph.mask is None else photograph.mask
+            mask = np.asarray(Image.fromarray(mask).resize((width, height)))
             (masks / name).parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(masks / f"{name}.png")
     reader = pycolmap.ImageReaderOptions()

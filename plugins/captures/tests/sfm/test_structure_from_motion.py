@@ -88,8 +88,12 @@ def test_no_feature_is_taken_of_what_is_masked(orbit, tmp_path):
     mask = np.zeros(SIZE, dtype=np.uint8)
     mask[:, : SIZE[1] // 2] = 255
     masked = [replace(photograph, mask=mask) for photograph in orbit[1][:3]]
-    graph = match(tmp_path, masked, SearchOptions(min_side=256, max_side=256))
+    for name in ("all", "one"):
+        (tmp_path / name).mkdir()
+    graph = match(tmp_path / "all", masked, SearchOptions(min_side=256, max_side=256))
     assert graph.pairs and all(pair.pixels[..., 0].max() <= 128 for pair in graph.pairs)
+    few = match(tmp_path / "one", [masked[0], *orbit[1][1:3]], SearchOptions(min_side=256, max_side=256))
+    assert len(few.pairs) == 3 and max(pair.pixels[..., 0].max() for pair in few.pairs) > 192  # the others count whole
 
 
 @pytest.mark.parametrize("radial", [-0.25, -0.05, 0.1])

@@ -5,6 +5,7 @@ const element = (id) => document.getElementById(id);
 const scene = JSON.parse(element("manifest").textContent);
 const canvas = element("canvas");
 const ROW = 1024;
+const PAUSE = 4000; // milliseconds between two styles or photographs that are shown in turn
 
 // ---- Unpacking ----------------------------------------------------------------------------------------------------
 
@@ -196,7 +197,9 @@ class Renderer {
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(...background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    const { rotation: r, translation } = camera.pose(), fit = Math.min(width / camera.size[0], height / camera.size[1]);
+    const { rotation: r, translation } = camera.pose();
+    // The photograph fills the window, unless more than two sevenths of a side were cut off: around it little was seen.
+    const [small, large] = [width / camera.size[0], height / camera.size[1]].sort((a, b) => a - b), fit = Math.min(large, 1.4 * small);
     gl.uniformMatrix3fv(this.uniform("rotation"), true, r.flat());
     gl.uniform3fv(this.uniform("translation"), translation);
     gl.uniform2f(this.uniform("focal"), camera.focal[0] * fit, camera.focal[1] * fit);
@@ -234,8 +237,7 @@ class Camera {
   constructor(means) {
     this.means = means;
     this.down = unit(scene.cameras.reduce((sum, one) => plus(sum, one.axes[1]), [0, 0, 0]));
-    this.view = 0;
-    this.goTo(0);
+    this.goTo(scene.opening);
   }
 
   goTo(view) {
@@ -256,6 +258,13 @@ class Camera {
     this.distance = depths.length ? depths[depths.length >> 1] : 1;
   }
 
+  // The place in numbers of 32 bits: where they were taken and where they are given, the picture is the same.
+  get place() { return Float32Array.of(...this.position, ...this.axes[1], ...this.axes[2], this.distance); }
+  set place(numbers) {
+    const [x, y, z, a, b, c, d, e, f, distance] = numbers, down = [a, b, c], forward = [d, e, f];
+    Object.assign(this, { position: [x, y, z], axes: [unit(cross(down, forward)), down, forward], distance });
+  }
+
   pose() {
     return { rotation: this.axes, translation: this.axes.map((axis) => -dot(axis, this.position)) };
   }
@@ -272,6 +281,25 @@ class Camera {
     this.position = plus(pivot, this.axes[2], -this.distance);
   }
 
+  // The angle to turn by at a time in seconds: all around where photographs look at this point from all sides, else between the
+  // outermost of them and back.
+  orbit() {
+    const pivot = plus(this.position, this.axes[2], this.distance), level = (v) => plus(v, this.down, -dot(v, this.down));
+    const ahead = level(this.axes[2]), right = cross(this.down, ahead), angles = [0];
+    for (const { position, axes } of scene.cameras) {
+      const towards = plus(pivot, position, -1), flat = level(towards);
+      if (dot(unit(towards), axes[2]) > 0.8) angles.push(Math.atan2(dot(flat, right), dot(flat, ahead)));
+    }
+    angles.sort((a, b) => a - b);
+    const gaps = angles.map((angle, i) => (i ? angle - angles[i - 1] : angle + 2 * Math.PI - angles.at(-1))), gap = Math.max(...gaps);
+    if (gap < Math.PI / 3) return (time) => 2 * Math.PI * time / 40;
+    // The arc goes from the gap's end to its beginning, past 0, where this camera is.
+    const i = gaps.indexOf(gap), first = angles[i] - 2 * Math.PI * (angles[i] > 0), last = angles.at(i - 1) + 2 * Math.PI * (angles.at(i - 1) < 0);
+    const low = Math.max(-0.6, Math.min(-0.08, first)), high = Math.min(0.6, Math.max(0.08, last));
+    const middle = (low + high) / 2, half = (high - low) / 2, begin = Math.asin(-middle / half);
+    return (time) => middle + half * Math.sin(2 * Math.PI * time / 16 + begin);
+  }
+
   move(right, down, forward) {
     const step = this.distance;
     [right, down, forward].forEach((amount, k) => { this.position = plus(this.position, this.axes[k], amount * step); });
@@ -286,8 +314,8 @@ class Camera {
 
 // ---- The page ------------------------------------------------------------------------------------------------------
 
-function listen(camera, changed, actions) {
-  const pointers = new Map();
+function listen(camera, redraw, stop, actions) {
+  const pointers = new Map(), changed = () => { stop(); redraw(); };
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
@@ -320,17 +348,18 @@ function listen(camera, changed, actions) {
     ArrowUp: () => camera.turn(0, 0.06), ArrowDown: () => camera.turn(0, -0.06),
     "+": () => camera.nearer(1.1), "=": () => camera.nearer(1.1), "-": () => camera.nearer(1 / 1.1),
     w: () => camera.move(0, 0, 0.05), s: () => camera.move(0, 0, -0.05),
-    a: () => camera.move(-0.05, 0, 0), d: () => camera.move(0.05, 0, 0), ...actions,
+    a: () => camera.move(-0.05, 0, 0), d: () => camera.move(0.05, 0, 0),
   };
   addEventListener("keydown", (event) => {
+    if (element("caption").open) return;
     const choosing = /^(INPUT|BUTTON)$/.test(event.target.tagName) && /^(Arrow|Enter| )/.test(event.key);
-    const action = keys[event.key] || keys[event.key.toLowerCase()];
     if (event.ctrlKey || event.metaKey || event.altKey || choosing) return;
-    if (/^[1-9]$/.test(event.key)) keys.style(Number(event.key) - 1);
-    else if (action) action();
+    const name = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    if (keys[name]) { keys[name](); changed(); }
+    else if (actions[name]) actions[name]();
+    else if (/^[1-9]$/.test(name)) actions.style(Number(name) - 1);
     else return;
     event.preventDefault();
-    changed();
   });
 }
 
@@ -344,9 +373,15 @@ async function main() {
   const data = await unpack(), renderer = new Renderer(gl, data), camera = new Camera(data.means);
   const worker = new Worker(URL.createObjectURL(new Blob([`(${sorter})()`], { type: "text/javascript" })));
   worker.postMessage({ means: data.means });
-  const state = { style: scene.first, other: 0, compare: false, divider: 0.5 };
+  const state = { style: scene.first, other: 0, compare: false, divider: 0.5, playing: null, cycling: false };
   let wanted = null, sorting = false, waiting = false, settled = [];
 
+  const press = (id, on) => element(id).setAttribute("aria-pressed", on);
+  const say = (text) => {
+    element("status").replaceChildren(text);
+    clearTimeout(say.timer);
+    if (text) say.timer = setTimeout(say, text.select ? 30000 : 4000, "");
+  };
   const background = () => {
     const [r, g, b] = getComputedStyle(document.documentElement).getPropertyValue("--ground").match(/\w\w/g);
     return [r, g, b].map((two) => parseInt(two, 16) / 255);
@@ -375,48 +410,138 @@ async function main() {
   };
   const changed = () => { wanted = camera.axes[2]; sort(); redraw(); };
 
+  const make = (name, options) => Object.assign(document.createElement(name), options);
   const radios = scene.styles.map((style, index) => {
-    const label = document.createElement("label"), input = document.createElement("input");
-    Object.assign(input, { type: "radio", name: "style", value: index });
-    label.title = style.title;
-    label.append(input, Object.assign(document.createElement("span"), { textContent: style.title }));
-    input.addEventListener("change", () => choose(index));
+    const label = make("label", { title: style.title }), input = make("input", { type: "radio", name: "style", value: index });
+    label.append(input, make("canvas", { width: 2 * 88, height: 2 * 58 }));
+    if (style.picture) label.append(make("img", { src: style.picture, alt: "" }));
+    label.append(make("span", { textContent: style.title }));
+    input.addEventListener("change", () => pick(index));
     element("styles").append(label);
     return input;
+  });
+  // Small pictures of the styles, as the page opens; they take nothing of the file.
+  const thumbnails = () => scene.styles.forEach((_, index) => {
+    const small = radios[index].parentElement.querySelector("canvas");
+    Object.assign(canvas, { width: small.width, height: small.height });
+    renderer.draw(camera, index, index, 0, background());
+    small.getContext("2d").drawImage(canvas, 0, 0);
   });
   const choose = (index) => {
     if (!radios[index]) return;
     state.style = index;
     radios[index].checked = true;
     radios[index].parentElement.scrollIntoView({ block: "nearest", inline: "nearest" });
+    if (parent !== window) parent.postMessage({ style: scene.styles[index].title }, "*");
     redraw();
   };
+  const pick = (index) => { cycle(false); choose(index); };
   const compare = (on) => {
     state.compare = on;
-    element("compare").setAttribute("aria-pressed", on);
+    press("compare", on);
     element("divider").hidden = !on;
     redraw();
   };
-  const go = (view) => { camera.goTo(view); changed(); };
-  const about = () => {
-    const caption = element("caption");
-    caption.hidden = !caption.hidden;
-    element("about").setAttribute("aria-expanded", !caption.hidden);
+  const go = (view) => { play(false); camera.goTo(view); changed(); };
+
+  // Moving by itself: the camera, or, where motion is not wanted, from photograph to photograph; and the styles in turn.
+  const still = matchMedia("(prefers-reduced-motion: reduce)");
+  const play = (on) => {
+    if (on === Boolean(state.playing)) return;
+    const run = state.playing = on ? {} : null;
+    press("play", on);
+    if (!on) return;
+    const angle = camera.orbit();
+    let begun, before = 0;
+    const move = (now) => {
+      if (state.playing !== run) return;
+      const next = angle((now - (begun ??= now)) / 1000);
+      camera.turn(before - next, 0);
+      before = next;
+      changed();
+      requestAnimationFrame(move);
+    };
+    const cut = () => {
+      if (state.playing !== run) return;
+      camera.goTo(camera.view + 1);
+      changed();
+      setTimeout(cut, PAUSE);
+    };
+    if (still.matches) cut(); else requestAnimationFrame(move);
   };
-  element("compare").disabled = scene.styles.length < 2;
+  const cycle = (on) => {
+    clearInterval(state.turns);
+    press("cycle", on);
+    const next = () => choose((state.style + 1) % scene.styles.length);
+    if (on) { next(); state.turns = setInterval(next, PAUSE); }
+    state.cycling = on;
+  };
+  const full = async () => {
+    try {
+      await (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
+    } catch (error) { say(error.message); }
+  };
+
+  // What is shown, as the fragment of an address.
+  const fragment = () => {
+    play(false);
+    camera.place = camera.place;
+    changed();
+    const place = btoa(String.fromCharCode(...new Uint8Array(camera.place.buffer))).replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
+    const shown = { style: state.style + 1, view: camera.view + 1, camera: place };
+    if (state.compare) shown.compare = `${state.other + 1}_${state.divider}`;
+    return `#${new URLSearchParams(shown)}`;
+  };
+  const restore = () => {
+    const shown = new URLSearchParams(location.hash.slice(1)), number = (name) => Number.parseInt(shown.get(name), 10) - 1;
+    play(false);
+    cycle(false);
+    if (scene.cameras[number("view")]) camera.goTo(number("view"));
+    const letters = (shown.get("camera") ?? "").replace(/-/g, "+").replace(/_/g, "/");
+    if (/^[A-Za-z0-9+/]{54}$/.test(letters)) {
+      const place = new Float32Array(Uint8Array.from(atob(letters), (letter) => letter.charCodeAt(0)).buffer);
+      if (place.every(Number.isFinite)) camera.place = place;
+    }
+    const [, other, divider] = /^(\d+)_(0|1|0?\.\d+)$/.exec(shown.get("compare")) ?? [];
+    if (scene.styles[other - 1]) Object.assign(state, { other: other - 1, divider: element("divider").value = Number(divider) });
+    if (shown.has("style")) compare(Boolean(scene.styles[other - 1]));
+    choose(number("style"));
+    changed();
+  };
+  const link = async () => {
+    history.replaceState(null, "", fragment());
+    const field = make("input", { value: location.href, readOnly: true, ariaLabel: "Link" });
+    try {
+      await navigator.clipboard.writeText(location.href);
+      say("The link is copied");
+    } catch { // not allowed, or this browser has none
+      say(field);
+      field.select();
+    }
+  };
+  const about = () => element("caption").showModal();
+  element("compare").disabled = element("cycle").disabled = scene.styles.length < 2;
+  element("play").disabled = still.matches && scene.cameras.length < 2;
+  element("full").hidden = element("full").disabled = !document.fullscreenEnabled;
+  element("play").onclick = () => play(!state.playing);
+  element("cycle").onclick = () => cycle(!state.cycling);
+  element("full").onclick = full;
+  element("link").onclick = link;
   element("compare").onclick = () => compare(!state.compare);
   element("divider").oninput = (event) => { state.divider = Number(event.target.value); redraw(); };
   element("previous").onclick = () => go(camera.view - 1);
   element("next").onclick = () => go(camera.view + 1);
   element("about").onclick = about;
-  listen(camera, changed, {
-    "[": () => go(camera.view - 1), "]": () => go(camera.view + 1), r: () => go(0),
-    c: () => compare(!state.compare && scene.styles.length > 1), h: () => document.body.classList.toggle("bare"), style: choose,
+  element("caption").onclick = (event) => { if (event.target === element("caption")) event.target.close(); }; // beside it
+  const key = (id) => () => element(id).disabled || element(id).click();
+  listen(camera, changed, () => play(false), {
+    "[": key("previous"), "]": key("next"), r: () => go(scene.opening), c: key("compare"), p: key("play"), t: key("cycle"), f: key("full"),
+    l: key("link"), "?": about, h: () => document.body.classList.toggle("bare"), style: pick,
   });
   addEventListener("resize", redraw);
+  addEventListener("hashchange", restore);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(scene.first);
-  changed();
   // For other programs: what the page can be asked, each answered when the picture stands.
   const stands = () => new Promise((resolve) => { settled.push(resolve); changed(); });
   window.anystyle = {
@@ -424,7 +549,10 @@ async function main() {
     compare: (on, divider = 0.5) => { state.divider = element("divider").value = divider; compare(on); return stands(); }, camera, stands,
   };
   await stands();
-  element("status").textContent = "";
+  thumbnails();
+  restore();
+  await stands();
+  say("");
   document.body.dataset.ready = "true";
 }
 

@@ -6,7 +6,7 @@
   const TEXTS = ["thick oil paint in orange and navy", "pink and mint watercolor", "charcoal drawing", "stained glass", "golden autumn light"];
   const NOUNS = { photographs: ["photograph", "photographs"], example: ["photograph", "photographs"], film: ["film", "film"], splat: ["splat", "splats"] };
   const ACTIVE = ["waiting", "running"];
-  let choices, state = { scenes: [], pictures: [] }, view = null, timer, lost = false;
+  let editor, choices, state = { scenes: [], pictures: [] }, view = null, timer, lost = false;
   const uploads = new Map(); // by scene: what is on its way
 
   // Elements
@@ -91,7 +91,10 @@
     const files = [...transfer.files], entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
     if (!entries.some((entry) => entry.isDirectory)) return files;
     const inside = async (entry) => {
-      if (entry.isFile) return [await new Promise((resolve, reject) => entry.file(resolve, reject))];
+      if (entry.isFile) {
+        const file = await new Promise((resolve, reject) => entry.file(resolve, reject));
+        return [Object.assign(file, { isMask: /\/masks?\//i.test(entry.fullPath) })];
+      }
       const reader = entry.createReader(), found = [];
       for (;;) {
         const part = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
@@ -127,7 +130,7 @@
       refused.push("A scene is made of photographs, or one film, or one splat: drop one kind at a time.");
       taken.length = 0;
     }
-    if (!taken.length) return complain(refused.slice(0, 3).join(" "));
+    if (!taken.length) { complain(refused.slice(0, 3).join(" ")); return undefined; }
     const id = scene || (await attempt(() => post("/scenes", { title: files.folder ?? "" })))?.id;
     if (!id) return undefined;
     const now = uploads.get(id) ?? { bytes: 0, sent: 0, files: 0, done: 0, failed: [] };
@@ -154,7 +157,19 @@
       if (now.failed.length) complain([...new Set(now.failed)].slice(0, 4).join(" "));
       await refresh();
     }
-    return undefined;
+    return id;
+  };
+  const keepMask = async (scene, name, file) => {
+    await post(`/scenes/${scene}/masks?name=${encodeURIComponent(name)}`, file);
+    await refresh();
+    return state.scene;
+  };
+  const addMasks = async (files, scene) => {
+    const names = files.map((file) => file.name.toLowerCase()), twice = files.find((file, i) => names.indexOf(names[i]) < i), failed = [];
+    if (twice) { complain(`Two masks are named ${twice.name}: masks go by the names of their photographs.`); return; }
+    for (const file of files) await keepMask(scene, file.name, file).catch((error) => failed.push(error.message));
+    say(`${files.length - failed.length} masks added.`);
+    if (failed.length) complain(failed.slice(0, 3).join(" ") + (failed.length > 3 ? ` And ${failed.length - 3} more.` : ""));
   };
   const addPicture = (file) => attempt(async () => {
     if (file.size > choices.limits.picture) throw new Error(`${file.name} has ${megabytes(file.size)}; at most ${megabytes(choices.limits.picture)} are taken.`);
@@ -187,8 +202,15 @@
     const scene = state.scene, extends_ = view?.name === "form" && scene && (!scene.kind || scene.kind === "photographs");
     if (event.target.closest?.("[data-styles]") && files.length && files.every((file) => kindOf(file) === "photographs")) {
       for (const file of files) view.choose?.(await addPicture(file));
-    } else await add(files, extends_ ? scene.id : "");
+      return;
+    }
+    const onMasks = event.target.closest?.("[data-masks]"), masks = files.filter((file) => onMasks || file.isMask), others = files.filter((file) => !masks.includes(file));
+    const id = others.length ? await add(Object.assign(others, { folder: files.folder }), extends_ ? scene.id : "") : view?.name === "form" && scene?.id;
+    if (masks.length && id) await addMasks(masks, id);
+    else if (masks.length) complain("Masks belong to photographs: drop these first.");
   });
+  // The page of a scene says which style it shows.
+  addEventListener("message", (event) => view?.told?.(event));
   addEventListener("beforeunload", (event) => { if (uploads.size) event.preventDefault(); });
 
   // Parts of views
@@ -211,18 +233,21 @@
         h("li", {}, "Or a slow film, walked sideways or around."))];
   };
   const picture = (address, alt = "") => address ? h("img", { src: address, alt, loading: "lazy", decoding: "async" }) : h("div", { class: "blank", "aria-hidden": "true" });
-  const strip = (scene, { remove } = {}) => {
+  const strip = (scene, { remove, draw } = {}) => {
     const list = h("ul", { class: `strip${scene.thumbnails.length > 24 ? " many" : ""}` });
     const left = new Set(scene.result?.left_out ?? []);
     let shown = "";
     const update = (now) => {
-      const named = now.thumbnails.join("\n") + [...(now.result?.left_out ?? [])];
+      const named = now.thumbnails.join("\n") + [...(now.result?.left_out ?? [])] + Object.entries(now.masks);
       if (named === shown) return;
       shown = named;
       fill(list, now.thumbnails.map((name) => {
         const file = name.replace(/\.\d+\.jpg$/, "");
         const button = remove && now.kind === "photographs" && h("button", { type: "button", "aria-label": `Remove ${file}`, title: "Remove", onclick: () => remove(file) }, "×");
-        return h("li", { class: left.has(file) ? "out" : undefined }, picture(`/thumbnail/${now.id}/${encodeURIComponent(name)}`, file), button);
+        const mask = now.masks[file], drawn = [picture(`/thumbnail/${now.id}/${encodeURIComponent(name)}`, file), mask && h("img", { class: "mask", src: `/mask/${now.id}/${encodeURIComponent(file)}?v=${mask}`, alt: "" })];
+        const note = left.has(file) ? "left out" : mask ? "masked" : now.transparent.includes(file) ? "cut out" : undefined;
+        return h("li", { class: left.has(file) ? "out" : undefined, "data-note": note },
+          draw && now.kind !== "film" ? h("button", { type: "button", class: "draw", "aria-label": `Mark in ${file}`, title: "Mark what should not be in the scene", onclick: () => draw(file) }, drawn) : drawn, button);
       }));
     };
     update(scene);
@@ -338,7 +363,12 @@
   const form = (scene) => {
     const settings = scene.settings, styles = styleFields(settings.texts.length + settings.images.length || scene.number ? settings : { ...settings, images: [`example:${choices.paintings[0].name}`] });
     const taken = (file) => attempt(async () => { await post(`/scenes/${scene.id}/remove`, { name: file }); await refresh(); });
-    const pictures = strip(scene, { remove: taken });
+    const pictures = strip(scene, { remove: taken, draw: (file) => { editor ??= window.maskEditor({ h, drawing, save: keepMask }); editor(state.scene, file); } });
+    const masked = h("select", { id: "masked" }, [["ignored", "hides the scene"], ["empty", "is empty space"]].map(([value, text]) => h("option", { value, selected: value === settings.masked }, text)));
+    const unmask = h("button", { type: "button", class: "quiet", onclick: () => attempt(async () => {
+      if (await question({ title: "Remove all masks?", detail: "What is marked in the photographs of this scene is forgotten.", yes: "Remove" })) { await post(`/scenes/${scene.id}/unmask`); await refresh(); }
+    }) }, "Remove all masks");
+    const maskHint = h("p", { class: "hint" }), masks = h("div", { class: "row", hidden: true }, h("label", { class: "tight" }, "What is marked ", masked), unmask);
     const quality = h("div", { class: "segments", role: "radiogroup", "aria-label": "Quality" }, choices.qualities.map((name) => h("label", {}, h("input", { type: "radio", name: "quality", value: name, checked: name === settings.quality }), capital(name))));
     const strength = slider("Strength", { min: 0, max: 1, step: 0.05, value: settings.strength, hint: "0 is the scene as it was photographed." });
     const preserve = slider("Keep the scene's colours", { min: 0, max: 1, step: 0.05, value: settings.preserve_color, hint: "1 paints the style's strokes in the scene's hues." });
@@ -350,12 +380,13 @@
     const start = h("button", { type: "submit", class: "main" }, scene.result ? "Make it again" : "Make the scene");
     const top = h("h1", { tabIndex: -1 }), lead = h("p", { class: "lead" }), told = h("div");
     const adding = picker("Add photographs", { accept: choices.suffixes.photographs, on: (files) => add(files, scene.id) });
+    const addingMasks = picker("Add masks", { accept: choices.suffixes.photographs, on: (files) => addMasks(files, scene.id) });
     const simple = [settings.strength, settings.preserve_color, settings.scale, settings.method, settings.more].join() === "1,0,1,branch,";
     const submit = async (event) => {
       event.preventDefault();
       complaint.hidden = true;
       start.disabled = true;
-      const sent = { ...styles.read(), quality: quality.querySelector(":checked")?.value ?? settings.quality, strength: Number(strength.input.value), preserve_color: Number(preserve.input.value), scale: Number(scale.input.value), method: method.value, more: more.value };
+      const sent = { ...styles.read(), quality: quality.querySelector(":checked")?.value ?? settings.quality, strength: Number(strength.input.value), preserve_color: Number(preserve.input.value), scale: Number(scale.input.value), masked: masked.value, method: method.value, more: more.value };
       try {
         await post(`/scenes/${scene.id}/run`, sent);
         go(`#/${scene.id}`);
@@ -370,7 +401,7 @@
     const root = h("form", { onsubmit: submit, noValidate: true },
       h("div", { class: "row between" }, top, h("div", { class: "row" }, scene.result && h("a", { class: "button", href: `#/${scene.id}` }, "Back to the scene"), h("button", { type: "button", class: "quiet", onclick: () => rename(state.scene) }, "Rename"), h("button", { type: "button", class: "quiet", onclick: () => remove(state.scene) }, "Delete"))),
       lead, told,
-      h("section", {}, pictures.list, uploading, h("div", { class: "row" }, adding)),
+      h("section", { "data-masks": "" }, pictures.list, uploading, maskHint, masks, h("div", { class: "row" }, adding, addingMasks)),
       styles.root,
       scene.kind !== "splat" && h("fieldset", {}, h("legend", {}, "Quality"), quality, h("p", { class: "hint" }, "A dozen photographs take a minute or two at “good” on a laptop's processor, a little less at “draft”, and several times as long at “best”.")),
       h("details", { open: !simple }, h("summary", {}, "More settings"),
@@ -386,6 +417,10 @@
       if (now.kind === "film" || now.kind === "splat") lead.textContent = now.kind === "film" ? "A film; its sharpest frames are taken." : "A splat that is there already: it keeps its shape and takes other colours.";
       else lead.textContent = words;
       adding.hidden = !(now.kind === "photographs" || !now.kind);
+      const marked = Object.keys(now.masks).length;
+      maskHint.hidden = addingMasks.hidden = !["photographs", "example"].includes(now.kind);
+      masks.hidden = !marked;
+      maskHint.textContent = marked ? `${marked} of ${now.count} have masks. What hides the scene, such as people and cars, is not learnt: other photographs show what is behind. Empty space is what surrounds an object that is cut out.` : "People, cars, the sky? Click a photograph and mark what should not be in the scene, or add masks named as the photographs: white counts, black does not.";
       pictures.update(now);
       styles.update();
       const key = [now.state, now.error, now.number].join();
@@ -429,7 +464,7 @@
   // A scene that is made
   const made = (scene) => {
     const result = scene.result, base = (kind, ...rest) => `/${[kind, scene.id, result.number, ...rest].join("/")}`;
-    const frame = h("iframe", { title: `The scene ${scene.title} in its styles`, allow: "fullscreen" }), top = h("h1", { tabIndex: -1 }), told = h("div");
+    const frame = h("iframe", { title: `The scene ${scene.title} in its styles`, allow: "fullscreen *; clipboard-write *" }), top = h("h1", { tabIndex: -1 }), notices = h("div");
     if (result.page) frame.src = base("page");
     const live = h("button", { type: "button", disabled: !choices.live, title: choices.live ? undefined : 'Needs: pip install "anystyle[viewer]"', onclick: () => attempt(async () => { await post(`/scenes/${scene.id}/live`); wanted = true; await refresh(); }) }, "Try further styles live");
     const tab = h("a", { class: "button", href: base("page"), target: "_blank", rel: "noopener" }, "Open in a tab of its own");
@@ -446,7 +481,7 @@
     const about = { html: "a page to look at, with all styles", ply: "3DGS viewers", zip: "everything", glb: "glTF", spz: "small", sog: "small", splat: "web viewers", ksplat: "GaussianSplats3D", usdz: "OpenUSD" };
     const offer = () => {
       const many = choices.formats[format.value], before = style.value;
-      fill(style, many && result.styles.length > 1 && h("option", { value: "all" }, "all styles"), result.styles.map((title, index) => h("option", { value: String(index) }, title)));
+      fill(style, many && result.styles.length > 1 && h("option", { value: "all" }, "all styles"), result.styles.map((title, index) => h("option", { value: String(index) }, title)), format.value !== "zip" && h("option", { value: "unstyled" }, "unstyled"));
       if ([...style.options].some((option) => option.value === before)) style.value = before;
     };
     fill(format, Object.keys(choices.formats).sort((a, b) => (b === "html") - (a === "html") || (b === "ply") - (a === "ply")).map((name) => h("option", { value: name }, about[name] ? `${name} (${about[name]})` : name)));
@@ -462,7 +497,7 @@
     const doubts = [...new Set([...fit.reasons, ...(scene.state === "done" ? scene.notes : []).map((note) => note.replace(/^cameras: /, ""))])];
     const root = h("div", {},
       h("div", { class: "row between" }, top, h("div", { class: "row" }, h("a", { class: "button main", href: `#/${scene.id}/settings` }, "Styles and settings"), h("button", { type: "button", class: "quiet", onclick: () => rename(state.scene) }, "Rename"), h("button", { type: "button", class: "quiet", onclick: () => remove(state.scene) }, "Delete"))),
-      told, h("div", { class: "stage", hidden: !result.page }, frame),
+      notices, h("div", { class: "stage", hidden: !result.page }, frame),
       h("div", { class: "row toolbar" }, live, tab, liveHint),
       doubts.length > 0 && h("section", { class: "panel", "data-doubts": "" }, h("h2", {}, fit.trust === "doubtful" ? "The cameras are doubtful" : "Worth knowing"), h("ul", { class: "reasons" }, doubts.map((reason) => h("li", {}, reason))),
         fit.trust === "doubtful" && h("div", { class: "advice" }, advice())),
@@ -474,12 +509,13 @@
         h("section", { class: "panel" }, h("h2", {}, "How it was made"), h("dl", {}, facts.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)])),
           result.licenses.length > 0 && h("details", {}, h("summary", {}, "Licences of the networks"), h("ul", { class: "reasons hint" }, result.licenses.map((text) => h("li", {}, text)))))),
       scene.thumbnails.length > 0 && h("section", { class: "below" }, h("h2", {}, scene.kind === "film" ? "The film" : "The photographs"), strip(scene).list));
-    let wanted = false, shown = frame.src;
+    let wanted = false, shown = frame.src, looked = "";
+    const told = (event) => { if (event.source === frame.contentWindow && typeof event.data?.style === "string") looked = event.data.style; };
     const update = () => {
       const now = state.scene;
       if (!now) return;
       if (top.textContent !== now.title) top.textContent = now.title;
-      fill(told, now.state !== "done" ? notice(now) : null);
+      fill(notices, now.state !== "done" ? notice(now) : null);
       if (now.live?.error && wanted) { wanted = false; complain(capital(now.live.error)); }
       live.textContent = wanted && !now.live?.address ? "Starting the viewer …" : now.live?.address && shown === now.live.address ? "Live" : "Try further styles live";
       live.disabled = !choices.live || wanted || shown === now.live?.address;
@@ -487,7 +523,8 @@
         wanted = false;
         frame.parentElement.hidden = false;
         frame.parentElement.classList.add("live");
-        shown = frame.src = tab.href = now.live.address;
+        shown = now.live.address;
+        frame.src = tab.href = `${shown}#${new URLSearchParams({ style: looked })}`;
         say("The live viewer is open.");
         update();
       } else if (!now.live && shown.startsWith("http://127") && shown !== location.href && !shown.startsWith(location.origin)) {
@@ -496,7 +533,7 @@
         frame.parentElement.classList.remove("live");
       }
     };
-    return { name: "made", title: scene.title, root, update };
+    return { name: "made", title: scene.title, root, update, told };
   };
   const gone = () => ({ name: "gone", title: "anystyle", root: h("div", {}, heading("This scene is not there any more"), h("p", {}, h("a", { href: "#/" }, "All scenes"))), update: () => {} });
 
