@@ -10,9 +10,10 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn.functional import interpolate, normalize, pad
 
-from anystyle.contracts import Method, Renderer
+from anystyle.contracts import Method
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.colors import fit_colors
+from anystyle.methods.branch import painted
+from anystyle.methods.colors import fit_colors, pixels_shown
 from anystyle.ranges import Count, NonNegative, Range
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
@@ -82,26 +83,24 @@ class Brush(Method):
         *,
         on_progress: OnProgress = no_progress,
     ) -> Gaussians:
-        gaussians, renderer = scene.gaussians or stylizer.unstyled(scene), stylizer.renderer
-        painted = rgb_from_constant(stylizer.branch(scene, embedding).color[0, ..., 0])
-        painted = painted.clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
+        renderer = stylizer.renderer
+        seen, colors = painted(stylizer, scene, embedding)
+        gaussians = scene.gaussians or stylizer.unstyled(scene)
         with torch.enable_grad():
             if scene.gaussians is None:
-                base = stylizer.restyle(scene, embedding).detach()
+                base = stylizer.restyle(scene, embedding)
             else:
-                alpha = None if scene.views.alpha is None else scene.views.alpha[0]
-                base = fit_colors(
-                    gaussians, scene.cameras, painted, renderer, steps=0, largest=True, alpha=alpha
-                ).detach()
-            if self._canvas is None or self._canvas[0] is not scene:
-                self._canvas = scene, _Canvas.of(scene, gaussians, pixels_shown(gaussians, scene.cameras, renderer))
+                alpha = None if seen.views.alpha is None else seen.views.alpha[0]
+                base = fit_colors(gaussians, seen.cameras, colors, renderer, steps=0, largest=True, alpha=alpha)
+        if self._canvas is None or self._canvas[0] is not scene:
+            self._canvas = scene, _Canvas.of(seen, gaussians, pixels_shown(gaussians, seen.cameras, renderer))
         canvas = self._canvas[1]
-        picture, short = painted if style.image is None else style.image.to(painted), min(painted.shape[-2:])
+        picture, short = colors if style.image is None else style.image.to(colors), min(colors.shape[-2:])
         pixel, found, scale = short / SHORT_SIDE, marks(picture, short), self.size * embedding.scale
         generator = torch.Generator().manual_seed(self.seed)
         own = structure_tensor(picture, 1.5, 5.0).mean(0, keepdim=True)  # of one painting, or of all views
-        own = interpolate(own, painted.shape[-2:], mode="bilinear")
-        layers = [base]
+        own = interpolate(own, colors.shape[-2:], mode="bilinear")
+        layers = [base.detach()]
         for depth, layer in enumerate(LAYERS, start=1):
             width = max(layer.width * scale * found.width, NARROWEST * pixel)
             length = max(layer.length * scale * found.length, 2 * width)
@@ -110,22 +109,11 @@ class Brush(Method):
             chosen = canvas.choose(SPACING * (width * length) ** 0.5, detail < layer.detail, generator)
             field = flow(blur(canvas.edges, 1.2 * width) + PAINTING * own)
             stroke = Stroke(width, length, max(1, round(width / (BRISTLE * pixel))), pixel * LIFT * (1 + depth) / 2)
-            texture, colors = Texture(picture, short, width, self.texture), blur(painted, 0.5 * width)
-            layers.append(canvas.strokes(chosen, stroke, field, smooth, colors, texture, generator))
+            texture = Texture(picture, short, width, self.texture)
+            layers.append(canvas.strokes(chosen, stroke, field, smooth, blur(colors, 0.5 * width), texture, generator))
         missing = base.harmonics.shape[2] - 1
         layers[1:] = [replace(one, harmonics=pad(one.harmonics, (0, 0, 0, missing))) for one in layers[1:]]
         return Gaussians.cat(layers, dim=1)
-
-
-def pixels_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V N"]:
-    """How many pixels of each view each Gaussian makes."""
-    rgb = torch.full_like(gaussians.means[0], 0.5).requires_grad_()
-    harmonics = constant_from_rgb(rgb)[None, :, None]
-    shown = []
-    for view in range(cameras.intrinsics.shape[1]):
-        render = renderer(replace(gaussians.detach(), harmonics=harmonics), cameras.select([view])).color
-        shown.append(torch.autograd.grad(render[..., 0, :, :].sum(), rgb, retain_graph=True)[0][:, 0])
-    return torch.stack(shown)
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ import anystyle
 from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.colors import colors_alone
+from anystyle.methods.colors import colors_alone, pixels_shown
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, Style, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from anystyle_methods.brush import Brush, pixels_shown
+from anystyle_methods.brush import Brush
 from anystyle_methods.flow import flow, structure_tensor
 
 SIDE = 96

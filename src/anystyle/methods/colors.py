@@ -126,6 +126,12 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
     return _COVERS.get((*_identity(system), share, most), choose)[1]
 
 
+def pixels_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V N"]:
+    """How many pixels of each view each Gaussian covers; of a batch of one, by a renderer differentiable in colours."""
+    with torch.enable_grad():
+        return _system(gaussians, cameras, renderer).shown
+
+
 def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V 1 H W"]:
     """How much each pixel of each view counts in :func:`fit_colors` with ``largest``."""
     confidence = _system(gaussians, cameras, renderer).confident.confidence
@@ -175,11 +181,15 @@ class _System:
     confidence: tuple[Float[Tensor, "1 H W"], ...] | None = None
 
     @cached_property
+    def shown(self) -> Float[Tensor, "V N"]:
+        """How many pixels of each view each Gaussian covers."""
+        ones = self.gray.new_ones(3, *self.cameras.size).detach()
+        return torch.stack([self.transposed(view, ones)[:, 0] for view in range(len(self.gray_renders))])
+
+    @cached_property
     def confident(self) -> "_System":
         """The same with confidence in what a view shows larger than all others."""
-        ones = self.gray.new_ones(3, *self.cameras.size).detach()
-        views = range(len(self.gray_renders))
-        largest = torch.stack([self.transposed(view, ones)[:, 0] for view in views]).argmax(0)
+        views, largest = range(len(self.gray_renders)), self.shown.argmax(0)
 
         def largest_in(view: int) -> Float[Tensor, "1 H W"]:
             shown = 0.5 + 0.45 * (largest == view).to(self.gray)[:, None].expand_as(self.gray)
