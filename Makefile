@@ -16,12 +16,14 @@ setup: .venv/.ready
 	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0
 	touch $@
 
-# A real place, its cameras found and a scene fitted; the styles were chosen by looking.
+# A real place, its cameras found and a scene fitted, then under brush strokes; the styles were chosen by looking.
 demo: export OMP_NUM_THREADS = 2
 demo: setup
 	$(BIN)/anystyle stylize example:street --text "pink and mint watercolor" --text "charcoal drawing" \
 		--image example:starry_night --image example:wave --image example:scream --image example:water_lilies \
 		--export html --open --out out/demo
+	$(BIN)/anystyle stylize out/demo --image example:wave --image example:scream method=brush \
+		--export html --open --out out/demo-strokes
 
 # Minutes: two scenes, three styles, three methods, judged, compared and shown. It says whether the benchmark runs.
 benchmark-smoke: RESULTS = out/benchmark-smoke

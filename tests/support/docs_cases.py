@@ -96,6 +96,8 @@ ENDS = {
     r"anystyle stylize .*--photo-masks ": "there is no folder of masks",
     r"anystyle stylize scene.spz ": "there is no file scene.spz",
     r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
+    r"anystyle data shard shards experiment=paper_head ": "there are no paintings",
+    r"anystyle data check shards/scenes ": "shards/scenes",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
 }
 """Commands that need a file which is not at hand: they run as well, and end in one line that says which."""

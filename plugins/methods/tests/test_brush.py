@@ -5,19 +5,21 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch.nn.functional import interpolate
 
 import anystyle
 from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.colors import colors_alone
+from anystyle.methods.colors import colors_alone, pixels_shown
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, Style, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from anystyle_methods.brush import Brush, pixels_shown
+from anystyle_methods.brush import Brush
 from anystyle_methods.flow import flow, structure_tensor
 
 SIDE = 96
+COLOR = torch.tensor([1.0, 0.5, 0.2])[:, None, None]
 
 
 def stripes(angle: float) -> torch.Tensor:
@@ -69,7 +71,7 @@ def result(wall):
 
 def painted(wall, **options):
     stylizer = anystyle.load("painter")
-    painting = stripes(-0.4) * torch.tensor([1.0, 0.5, 0.2])[:, None, None]
+    painting = stripes(-0.4) * COLOR
     embedding = stylizer.embed(image=painting)
     return Brush(**options)(stylizer, wall, Style(image=painting), embedding)
 
@@ -112,6 +114,41 @@ def test_size_scales_strokes_and_the_seed_decides(wall, result):
     assert not torch.equal(result.means[:, number : number + 50], large.means[:, number : number + 50])
     assert large.means.shape[1] < result.means.shape[1]
     assert large.scales[0, number:, 0].min() > 1.5 * result.scales[0, number:, 0].min()
+
+
+def test_strokes_have_the_size_of_the_painting_s_marks(wall):
+    """A pattern twice as large has marks twice as long."""
+    number, stylizer, found = wall.gaussians.means.shape[1], anystyle.load("painter"), []
+    pattern = stripes(-0.4) * stripes(1.1)
+    for painting in (pattern, interpolate(pattern, scale_factor=2, mode="bilinear")[..., :SIDE, :SIDE]):
+        result = Brush()(stylizer, wall, Style(image=painting * COLOR), stylizer.embed(image=painting * COLOR))
+        found.append(result.map(lambda tensor: tensor[:, number:]))
+    fine, coarse = found
+    assert coarse.scales[0, :, 0].median() > 1.5 * fine.scales[0, :, 0].median()
+    assert coarse.means.shape[1] < fine.means.shape[1]
+
+
+def test_strokes_end_where_the_photograph_changes(wall):
+    """Half of the wall is dark: strokes stay on their half."""
+    images = torch.full_like(wall.views.images, 0.2)
+    images[..., :48, :] = 0.8  # above the middle, which is y = 0
+    views = replace(wall.views, images=images)
+    scene = replace(colors_alone(views), gaussians=wall.gaussians)
+    number = wall.gaussians.means.shape[1]
+    strokes = painted(scene, size=3.0).map(lambda tensor: tensor[:, number:])
+    q, half = strokes.rotations[0], strokes.scales[0, :, 0]
+    reach = half * 2 * (q[:, 1] * q[:, 2] + q[:, 0] * q[:, 3])  # of the first axis along y
+    y = strokes.means[0, :, 1]
+    over = (reach.abs() - y.abs()).clamp_min(0)
+    assert (over > 0.06).float().mean() < 0.02  # three pixels, that photographs are blurred by
+
+
+def test_the_next_style_of_a_scene_is_as_of_a_new_brush(wall, result):
+    brush, stylizer = Brush(), anystyle.load("painter")
+    for painting in (stripes(1.0), stripes(-0.4) * COLOR):
+        again = brush(stylizer, wall, Style(image=painting), stylizer.embed(image=painting))
+    assert torch.equal(again.means, result.means)
+    assert torch.equal(again.harmonics, result.harmonics)
 
 
 def test_scenes_of_the_single_pass_are_painted_on_too(wall):

@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from anystyle.contracts import Method
 from anystyle.geometry.harmonics import rgb_from_constant
@@ -50,12 +52,7 @@ class Branch(Method):
         gaussians = scene.gaussians
         if gaussians is None:
             return stylizer.restyle(scene, embedding)
-        if stylizer.branch.gaussian_head is None:
-            with torch.enable_grad():
-                views = covering_views(gaussians, scene.cameras, stylizer.renderer, share=self.coverage, most=MAX_VIEWS)
-            scene = _of_views(scene, views)
-        color = stylizer.branch(scene, embedding).color[0]  # V H W 3 K
-        targets = rgb_from_constant(color[..., 0]).clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
+        scene, targets = painted(stylizer, scene, embedding, coverage=self.coverage)
         with torch.enable_grad():
             colored = fit_colors(
                 gaussians, scene.cameras, targets, stylizer.renderer, steps=self.fit_colors, largest=True,
@@ -71,8 +68,25 @@ class Branch(Method):
         return colored
 
 
-def _of_views(scene: Scene, views: list[int]) -> Scene:
-    """Some views of a scene, with colours only."""
-    chosen = colors_alone(replace(scene.views.select(views), cameras=scene.cameras.select(views)))
-    attributes = replace(chosen.attributes, color=scene.attributes.color[:, views])
-    return replace(chosen, attributes=attributes, gaussians=scene.gaussians)
+def painted(
+    stylizer: Stylizer, scene: Scene, embedding: StyleEmbedding, *, coverage: float = 0.95
+) -> tuple[Scene, Float[Tensor, "V 3 H W"]]:
+    """What the branch paints on views of a scene: sRGB in [0, 1], of a batch of one.
+
+    Args:
+        stylizer: Its style branch paints.
+        scene: A batch of one.
+        embedding: The style.
+        coverage: See :class:`Branch`; of Gaussians that are fitted or given.
+
+    Returns:
+        The scene with the views that are painted, and their colours.
+    """
+    if scene.gaussians is not None and stylizer.branch.gaussian_head is None:
+        with torch.enable_grad():
+            views = covering_views(scene.gaussians, scene.cameras, stylizer.renderer, share=coverage, most=MAX_VIEWS)
+        chosen = colors_alone(replace(scene.views.select(views), cameras=scene.cameras.select(views)))
+        attributes = replace(chosen.attributes, color=scene.attributes.color[:, views])
+        scene = replace(chosen, attributes=attributes, gaussians=scene.gaussians)
+    color = stylizer.branch(scene, embedding).color[0]  # V H W 3 K
+    return scene, rgb_from_constant(color[..., 0]).clamp(0, 1).movedim(-1, 1).float()

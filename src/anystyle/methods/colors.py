@@ -126,6 +126,12 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
     return _COVERS.get((*_identity(system), share, most), choose)[1]
 
 
+def pixels_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V N"]:
+    """How many pixels of each view each Gaussian covers, of a batch of one."""
+    system = _system(gaussians, cameras, renderer)
+    return torch.stack([system.covered(view) for view in system.views])
+
+
 def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V 1 H W"]:
     """How much each pixel of each view counts in :func:`fit_colors` with ``largest``."""
     confidence = _system(gaussians, cameras, renderer).confident.confidence
