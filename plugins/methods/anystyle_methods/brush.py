@@ -168,7 +168,7 @@ class _Canvas:
         fields = points, normals, flatness, rays, views, place.long(), nearest, density
         photographs = rgb_from_constant(scene.attributes.color[0, ..., 0]).movedim(-1, 1).float()
         edges = structure_tensor(photographs, 1.5, 1.0)
-        return cls(*(field[inside] for field in fields), cameras, photographs, edges)
+        return cls(*(field[inside] for field in fields), cameras=cameras, photographs=photographs, edges=edges)
 
     def choose(self, spacing: float, free: Bool[Tensor, "V H W"], generator: torch.Generator) -> Int[Tensor, " M"]:
         """Places that are this many pixels apart on average, where views are free."""
