@@ -91,7 +91,7 @@ class Brush(Method):
                 base = stylizer.restyle(scene, embedding)
             else:
                 alpha = None if seen.views.alpha is None else seen.views.alpha[0]
-                base = fit_colors(gaussians, seen.cameras, colors, renderer, steps=0, largest=True, alpha=alpha)
+                base = fit_colors(gaussians, seen.cameras, colors, renderer, steps=4, largest=True, alpha=alpha)
         if self._canvas is None or self._canvas[0] is not scene:
             self._canvas = scene, _Canvas.of(seen, gaussians, pixels_shown(gaussians, seen.cameras, renderer))
         canvas = self._canvas[1]
