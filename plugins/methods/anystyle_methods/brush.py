@@ -18,7 +18,7 @@ from anystyle.ranges import Count, NonNegative, Range
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 from anystyle_methods.flow import blur, flow, structure_tensor
-from anystyle_methods.marks import Texture, marks
+from anystyle_methods.marks import PaintingTexture, marks
 
 
 class Layer(NamedTuple):
@@ -109,7 +109,7 @@ class Brush(Method):
             chosen = canvas.choose(SPACING * (width * length) ** 0.5, detail < layer.detail, generator)
             field = flow(blur(canvas.edges, 1.2 * width) + PAINTING * own)
             stroke = Stroke(width, length, max(1, round(width / (BRISTLE * pixel))), pixel * LIFT * (1 + depth) / 2)
-            texture = Texture(picture, short, width, self.texture)
+            texture = PaintingTexture(picture, short, width, self.texture)
             layers.append(canvas.strokes(chosen, stroke, field, smooth, blur(colors, 0.5 * width), texture, generator))
         missing = base.harmonics.shape[2] - 1
         layers[1:] = [replace(one, harmonics=pad(one.harmonics, (0, 0, 0, missing))) for one in layers[1:]]
@@ -184,7 +184,7 @@ class _Canvas:
         field: tuple[Float[Tensor, "V 2 H W"], Float[Tensor, "V H W"]],
         smooth: Float[Tensor, "V 3 H W"],
         colors: Float[Tensor, "V 3 H W"],
-        texture: Texture,
+        texture: PaintingTexture,
         generator: torch.Generator,
     ) -> Gaussians:
         """Strokes at these places, each of some bristles side by side, a Gaussian each."""

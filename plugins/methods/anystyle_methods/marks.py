@@ -41,7 +41,7 @@ def marks(pictures: Float[Tensor, "V 3 H W"], side: int) -> Marks:
     return Marks(2 * _half(lightness, across, weight), 2 * _half(lightness, direction, weight))
 
 
-class Texture:
+class PaintingTexture:
     """How colours differ from those around them, at places of a picture.
 
     Args:

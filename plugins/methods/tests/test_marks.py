@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from anystyle_methods.flow import blur
-from anystyle_methods.marks import REACH, Texture, marks
+from anystyle_methods.marks import REACH, PaintingTexture, marks
 
 SIDE = 256
 
@@ -61,7 +61,7 @@ def test_texture_is_that_of_places_with_the_same_colour():
     blue, orange = torch.tensor([0.2, 0.3, 0.8]), torch.tensor([0.9, 0.5, 0.1])
     picture[..., :128] = blue[:, None, None] + 0.1 * torch.randn(SIDE, 128, generator=generator)
     picture[..., 128:] = orange[:, None, None]
-    texture = Texture(picture, SIDE, 4.0, 2.0)
+    texture = PaintingTexture(picture, SIDE, 4.0, 2.0)
     colors = torch.stack([blue, orange]).repeat_interleave(500, 0)
     found = texture.sample(colors, torch.zeros(1), generator)[0].view(2, 500, 3)
     expected = 2 * (picture - blur(picture, 4.0))[..., 16:112].std()
@@ -73,7 +73,7 @@ def test_offsets_lie_across_the_flow():
     """Across stripes the texture changes with their period, and along them it would not."""
     x = torch.arange(SIDE) + 0.5
     picture = (0.5 + 0.2 * torch.sin(2 * math.pi * x / 8)).expand(1, 3, SIDE, SIDE)
-    texture = Texture(picture, SIDE, 4.0, 1.0)
+    texture = PaintingTexture(picture, SIDE, 4.0, 1.0)
     found = texture.sample(torch.full((400, 3), 0.5), torch.tensor([0.0, 4.0, 8.0]), torch.Generator().manual_seed(0))
     inner = found[0].abs().mean(1) > 0.05
     assert (found[1] * found[0])[inner].mean() < -0.5 * found[0][inner].square().mean()  # half of a period
