@@ -133,9 +133,11 @@ def test_a_signal_is_no_error_where_a_library_makes_one_of_it(capsys, name, stat
         finally:
             raise AttributeError("'NoneType' object has no attribute 'flags'")
 
-    before = signal.getsignal(signal.SIGTERM)
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell lets what it starts behind itself ignore it
     with pytest.raises(SystemExit) as ended:
         run(command)
-    signal.signal(signal.SIGTERM, before)
+    for number, handler in zip((signal.SIGTERM, signal.SIGINT), before, strict=True):
+        signal.signal(number, handler)
     told = {"SIGTERM": "terminated", "SIGINT": "interrupted"}[name]
     assert ended.value.code == status and capsys.readouterr().err == f"anystyle: {told}\n"
