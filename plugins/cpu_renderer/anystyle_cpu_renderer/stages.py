@@ -114,7 +114,8 @@ def shares(
 
     ends, columns, values = zip(*run(job, range(len(splats.offsets) - 1)), strict=True)
     starts = np.cumsum([0, *map(len, values)])
-    rows = np.concatenate([[0], *(end + start for end, start in zip(ends, starts, strict=False))]).astype(np.int32)
+    kind = np.int32 if starts[-1] <= np.iinfo(np.int32).max else np.int64  # half the memory where it does
+    rows = np.concatenate([[0], *map(np.add, ends, starts[:-1])]).astype(kind)
     matrix = csr_array((np.concatenate(values), np.concatenate(columns), rows), (transmittance.size, number))
     return matrix, transmittance
 

@@ -57,9 +57,10 @@ class Brush(Method):
     """Brush strokes on the surfaces of a scene, in the colours that the style branch paints.
 
     The scene takes these colours as it does in the single pass. Strokes lie on it, each a few flat, long Gaussians side
-    by side: they follow the flow of the photographs (Litwinowicz 1997), and that of the painting where these have none;
-    large ones first, smaller ones where there is detail (Hertzmann 1998). They are part of the scene, and the same from
-    wherever it is seen.
+    by side, as wide and long as the painting's marks, and with its texture (:mod:`anystyle_methods.marks`). They follow
+    the flow of the photographs (Litwinowicz 1997), and that of the painting where these have none, and end where the
+    photograph's colour changes; large ones first, smaller ones where there is detail (Hertzmann 1998). They are part of
+    the scene, and the same from wherever it is seen.
 
     Args:
         size: Size of strokes, relative to the painting's marks where its shorter side is the views'.

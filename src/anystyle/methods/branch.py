@@ -13,6 +13,8 @@ from anystyle.ranges import Count, Share
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 
+COVERAGE = 0.95
+"""Of fitted Gaussians, by the views that are painted; see :class:`Branch`."""
 MAX_VIEWS = 48
 """By which fitted Gaussians are coloured, where the branch paints each view separately."""
 
@@ -34,7 +36,12 @@ class Branch(Method):
     """
 
     def __init__(
-        self, *, fit_colors: Count = 4, coverage: Share = 0.95, refine_strokes: Count = 0, keep_harmonics: bool = False
+        self,
+        *,
+        fit_colors: Count = 4,
+        coverage: Share = COVERAGE,
+        refine_strokes: Count = 0,
+        keep_harmonics: bool = False,
     ) -> None:
         self.fit_colors, self.coverage = fit_colors, coverage
         self.refine_strokes, self.keep_harmonics = refine_strokes, keep_harmonics
@@ -69,7 +76,7 @@ class Branch(Method):
 
 
 def painted(
-    stylizer: Stylizer, scene: Scene, embedding: StyleEmbedding, *, coverage: float = 0.95
+    stylizer: Stylizer, scene: Scene, embedding: StyleEmbedding, *, coverage: float = COVERAGE
 ) -> tuple[Scene, Float[Tensor, "V 3 H W"]]:
     """What the branch paints on views of a scene: sRGB in [0, 1], of a batch of one.
 
