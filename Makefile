@@ -1,10 +1,11 @@
 # Each target sets up what it needs: `make demo` and `make test` work on a fresh clone.
 PYTHON ?= python3
 BIN := .venv/bin
+METHODS := plugins/benchmark/anystyle_benchmark/methods
 EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,usd,spz,mesh
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo benchmark-smoke docs notebooks test tests test-slow fuzz lint format
+.PHONY: setup demo benchmark-smoke benchmark-methods docs notebooks test tests test-slow fuzz lint format
 
 setup: .venv/.ready
 
@@ -33,6 +34,18 @@ benchmark-smoke: setup
 	$(BIN)/anystyle benchmark compare $(RESULTS) branch brush
 	$(BIN)/anystyle benchmark site $(RESULTS) --out $(RESULTS)/site
 	@echo "open $(RESULTS)/site/index.html"
+
+# The methods that a branch adds or changes, run on the track and judged beside those of its stored edition.
+benchmark-methods: BASE = origin/main
+benchmark-methods: TRACK = open
+benchmark-methods: RESULTS = out/benchmark-methods
+benchmark-methods: BESIDE = $(wildcard docs/benchmark/$(TRACK)-2)
+benchmark-methods: setup
+	methods=$$(git diff --name-only --diff-filter=d $(BASE)... -- $(METHODS) | sed 's|^$(METHODS)/||; s|[./].*||' | sort -u | paste -sd,) && \
+	if [ -z "$$methods" ]; then echo "no method of $(METHODS) differs from $(BASE)"; exit 0; fi && \
+	$(BIN)/anystyle benchmark run track=$(TRACK) "methods=[$$methods]" out=$(RESULTS) && \
+	$(BIN)/anystyle benchmark judge $(RESULTS) $(addprefix --beside ,$(BESIDE)) && \
+	$(BIN)/anystyle benchmark site $(RESULTS) --out $(RESULTS)/site
 
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml

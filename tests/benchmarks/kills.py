@@ -122,8 +122,14 @@ class Trial:
             with suppress(psutil.NoSuchProcess):
                 process.send_signal(number)
 
-    def at_work(self) -> list[str]:
-        return sorted((path.parent.name for path in self.sweep.glob("*/.lock")), key=int)
+    def at_work(self, since: float = 0.0) -> list[str]:
+        """The jobs whose locks were taken or refreshed after a time; those of killed processes stay as they were."""
+        locks = []
+        for path in self.sweep.glob("*/.lock"):
+            with suppress(FileNotFoundError):
+                if path.stat().st_mtime > since:
+                    locks.append(path.parent.name)
+        return sorted(locks, key=int)
 
     def look(self) -> None:
         """Nothing that was finished has changed since; remember what is finished now."""
@@ -213,9 +219,9 @@ class Trial:
         self.finished.clear()
         ended = False
         while not ended:
-            start, began = self.start(), time.monotonic()
+            start, began, since = self.start(), time.monotonic(), time.time()
             if self.chance.random() < 0.9:  # else while it starts
-                while self.starts and not (self.at_work() and "job " in start.said()):
+                while self.starts and not self.at_work(since):
                     self.pause(0.2)
             while self.starts:
                 self.pause(self.chance.uniform(0, 2 * self.job_seconds))

@@ -131,6 +131,8 @@ NOT_RUN = {
     r"anystyle nerfstudio path ": "a path of nerfstudio's viewer; plugins/formats/tests makes one",
     r"ns-viewer ": "needs nerfstudio",
     r"(ln -s .*ComfyUI|ANYSTYLE_COMFYUI=)": "needs ComfyUI",
+    r"make benchmark-methods ": "sets up an environment from a network; benchmark/tests judge a method beside others",
+    r"anystyle benchmark run methods=mine out=": "a method that the reader adds; benchmark/tests run one",
     r"make docs$": "tests/docs/test_site.py does what it does",
     r"python -m pytest tests/docs$": "these tests",
     r"torchrun ": "needs several graphics cards, or machines",

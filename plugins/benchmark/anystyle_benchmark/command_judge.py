@@ -17,7 +17,7 @@ from anystyle.io.documents import as_number
 from anystyle.io.limits import free
 from anystyle_benchmark.judge import Judge, inputs_of, read_methods, wrong
 from anystyle_benchmark.ladder import Ladder, bundled
-from anystyle_benchmark.results import FIGURES, Figures, Interval, bind
+from anystyle_benchmark.results import FIGURES, Figures, Interval, bind, joined, read_figures
 from anystyle_benchmark.statistics import cost
 from anystyle_benchmark.track import Inputs
 
@@ -42,6 +42,8 @@ def parser() -> argparse.ArgumentParser:
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     add("--metrics", default="", metavar="A,B", help="only these of the track's metrics")
     add_processes(flags)
+    beside = "also show the methods of these judged results (a folder, or figures.json) that the folder lacks"
+    add("--beside", type=Path, metavar="RESULTS", help=beside)
     check = "judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png"
     add("--check", type=Path, metavar="FOLDER", help=check)
     return flags
@@ -66,8 +68,14 @@ def main(args: Sequence[str]) -> None:
     inputs = inputs_of(results, arguments.track, arguments.root)
     lock = bind(inputs, results)
     chosen = tuple(filter(None, arguments.metrics.split(",")))
+    others = None if arguments.beside is None else read_figures(arguments.beside)
     judge = Judge(inputs, results, chosen, processes=processes_of(arguments))
     figures = judge(specs, lock, progress_lines())
+    if others is not None:
+        try:
+            figures = joined(figures, others)
+        except UserError as error:
+            raise UserError(f"{arguments.beside} cannot be shown beside {results}: {error}") from None
     write_json(results / FIGURES, msgspec.to_builtins(figures))
     table = summary(figures, bundled(inputs.file.parent, figures)).markdown()
     for name, text in (("table.md", table), ("table.csv", listing(figures).csv())):

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from PIL import Image
 
 from anystyle.cli.arguments import new_parser, parse
@@ -66,7 +67,7 @@ def main(args: Sequence[str]) -> None:
             f"{root / FIGURES} is of other inputs, or another version of track or judge; run "
             f"`anystyle benchmark judge {root}`"
         )
-    shown = pictured(figures.cells)
+    shown = [_with_images(cell, root) for cell in pictured(figures.cells)]
     sources: dict[str, Sequence[Path]] = {
         f"cells/{cell.method}/{cell.scene}/{cell.style}.avif": [
             cell.cell.images(root) / f"{view}.png" for view in inputs.scene(cell.scene).views
@@ -96,6 +97,13 @@ def pictured(cells: Sequence[CellFigures]) -> list[CellFigures]:
     for cell in sorted(cells, key=lambda cell: (cell.status != "done", cell.seed)):
         found.setdefault((cell.method, *cell.place), cell)
     return list(found.values())
+
+
+def _with_images(cell: CellFigures, root: Path) -> CellFigures:
+    """The cell, marked where it was judged elsewhere (``judge --beside``) and its images are not here."""
+    if cell.status != "done" or cell.cell.images(root).is_dir():
+        return cell
+    return msgspec.structs.replace(cell, status="missing", message=f"its images are not in {root.name}")
 
 
 def pages(inputs: Inputs, root: Path, figures: Figures, shown: Sequence[CellFigures]) -> dict[str, str]:

@@ -234,6 +234,31 @@ def read_figures(root: Path) -> Figures:
     return read_json(path, Figures, what="file of figures")
 
 
+def joined(figures: Figures, others: Figures) -> Figures:
+    """Figures with those methods of others that they lack; what another track, judge or network judged is refused."""
+    if others.track.digest != figures.track.digest:
+        words = [f"track {one.name} {one.version}, judge {one.protocol}" for one in (others.track, figures.track)]
+        raise UserError("its inputs differ" if words[0] == words[1] else f"it is of {words[0]}, not of {words[1]}")
+    metrics = others.metrics | figures.metrics
+    networks = ("stand_in", "weights")
+    if strange := [
+        name
+        for name in figures.metrics.keys() & others.metrics.keys()
+        if any(getattr(metrics[name], what) != getattr(others.metrics[name], what) for what in networks)
+    ]:
+        raise UserError(f"other networks computed {', '.join(sorted(strange))}")
+    names = others.methods.keys() - figures.methods.keys()
+    return msgspec.structs.replace(
+        figures,
+        metrics={name: metrics[name] for name in (*figures.metrics, *metrics)},
+        methods=dict(sorted((figures.methods | {name: others.methods[name] for name in names}).items())),
+        cells=[*figures.cells, *(cell for cell in others.cells if cell.method in names)],
+        scenes=[*figures.scenes, *(scene for scene in others.scenes if scene.method in names)],
+        table=[*figures.table, *(row for row in others.table if row.method in names)],
+        origins=dict(sorted((others.origins | figures.origins).items())),
+    )
+
+
 def cells_of(root: Path, method: str) -> Iterator[Cell]:
     """Every cell of a method that has a record, in order of the paths."""
     for path in sorted((root / method).glob("*/*/*.json")):

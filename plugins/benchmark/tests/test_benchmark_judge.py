@@ -11,6 +11,7 @@ from PIL import Image
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.types import Comparison, Style
+from anystyle_benchmark import command_site
 from anystyle_benchmark import judge as judging
 from anystyle_benchmark.command_judge import main
 from anystyle_benchmark.results import Cell, CellFigures, Figures, Record
@@ -137,6 +138,29 @@ def test_bad_images_are_failures_of_their_cells_alone(copy, capsys):
             assert [cell.figures.get(name) for name in own] == [before[key].figures.get(name) for name in own]
         else:
             assert cell.figures == {}
+
+
+def test_methods_that_were_judged_elsewhere_are_shown_beside_as_if_judged_together(copy, capsys):
+    track, results = copy
+    whole, alone, words = read(results), results.parent / "alone", ["--track", str(track), "--processes", "1"]
+    shutil.copytree(results / "pasted", alone / "pasted")
+    main([str(alone), *words, "--beside", str(results)])
+    assert "Noise" in capsys.readouterr().out
+    found = read(alone)
+    for name in ("track", "metrics", "methods", "origins"):
+        assert getattr(found, name) == getattr(whole, name)
+    for name in ("cells", "scenes", "table"):
+        rows = [sorted(map(repr, getattr(one, name))) for one in (found, whole)]
+        assert rows[0] == rows[1]
+    command_site.main([str(alone), "--track", str(track), "--out", str(alone / "site")])
+    assert {path.parent.parent.name for path in (alone / "site" / "cells").rglob("*.avif")} == {"pasted"}
+    assert "its images are not in alone" in (alone / "site" / "figures.js").read_text()
+    others = msgspec.structs.replace(whole.metrics["kid"], weights={"network.bin": "0"})
+    changes = {"metrics": whole.metrics | {"kid": others}}, {"track": msgspec.structs.replace(whole.track, digest="0")}
+    for change, message in zip(changes, ("other networks computed kid", "its inputs differ"), strict=True):
+        write_json(results / "figures.json", msgspec.to_builtins(msgspec.structs.replace(whole, **change)))
+        with pytest.raises(UserError, match=f"cannot be shown beside {alone}: .*{message}"):
+            main([str(alone), *words, "--beside", str(results / "figures.json")])
 
 
 def test_somebodys_folder_is_checked_without_judging(world, tmp_path, capsys):

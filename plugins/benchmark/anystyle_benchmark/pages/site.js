@@ -98,7 +98,7 @@ const strip = (source, scene, alt) => {
 };
 const picture = (method, scene, style, cell, alt) => cell.status === "done"
   ? strip(`cells/${method}/${scene}/${style}.avif`, scene, alt)
-  : make("div", { class: "said", style: `--ratio:${scenes[scene].size.join("/")}` }, cell.status === "missing" ? "not run" : `${cell.status === "timeout" ? "too slow" : "failed"}: ${cell.message}`);
+  : make("div", { class: "said", style: `--ratio:${scenes[scene].size.join("/")}` }, cell.status === "missing" ? cell.message || "not run" : `${cell.status === "timeout" ? "too slow" : "failed"}: ${cell.message}`);
 const hash = (...parts) => `#${parts.map(encodeURIComponent).join("/")}`;
 
 // ---- the pictures behind a number
