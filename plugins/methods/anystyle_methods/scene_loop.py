@@ -4,15 +4,16 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Loss
+from anystyle.contracts import LinearView, Loss
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.losses.features import objective
+from anystyle.methods.colors import KEPT
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.methods.order import canonical_order
 from anystyle.stylizer import Stylizer
@@ -84,6 +85,10 @@ class SceneLoop:
             given = stylizer.unstyled(scene)
         self._begin(given if keep_harmonics else replace(given, harmonics=given.harmonics[:, :, :1]))
         self.unstyled: dict[int, Renders] = {}
+        # Where nothing but constant colours changes, a view stays the same linear map of them.
+        constant = self.before.harmonics.shape[2] == 1 and self.before.means.dtype == torch.float32
+        self.only_colors = constant and [*rates] == ["colors"]
+        self.linear_views: dict[int, tuple[LinearView, Renders]] = {}
 
     def _begin(self, gaussians: Gaussians) -> None:
         self.before = gaussians.detach()
@@ -132,10 +137,31 @@ class SceneLoop:
             embedding=self.embedding,
             scene=replace(self.scene, views=views, geometry=geometry, gaussians=self.before, clusters=None),
             gaussians=gaussians,
-            renders=self.stylizer.render(gaussians, cameras),
+            renders=self._render(gaussians, view),
             unstyled=self._unstyled(view) if any(loss.needs_unstyled for loss in self.losses.values()) else None,
         )
         return objective(self.losses, result)[0]
+
+    def _render(self, gaussians: Gaussians, view: int) -> Renders:
+        if view not in self.linear_views and self.only_colors:
+            self._keep_linear_view(view)
+        if view not in self.linear_views:
+            return self.stylizer.render(gaussians, self.scene.cameras.select([view]))
+        linear, before = self.linear_views[view]
+        colors = rgb_from_constant(gaussians.harmonics[0, :, 0]).clamp_min(0)
+        color = _LinearRender.apply(colors, linear) + linear.background
+        return replace(before, color=color.clamp(0, 1)[None, None])
+
+    @torch.no_grad()
+    def _keep_linear_view(self, view: int) -> None:
+        """Keep a view's map of colours, as far as memory goes, with the depth and alpha that stay the same."""
+        camera = self.scene.cameras.select([view])
+        linear = self.stylizer.renderer.linear_view(self.before, camera)
+        kept = sum(one.nbytes for one, _ in self.linear_views.values())
+        if linear is None or kept + linear.nbytes > KEPT:
+            self.only_colors = False
+        else:
+            self.linear_views[view] = linear, self.stylizer.render(self.before, camera)
 
     @torch.no_grad()
     def _unstyled(self, view: int) -> Renders:
@@ -157,6 +183,19 @@ class SceneLoop:
         assert self.style.image is not None
         views = [self.stylizer.render(gaussians, self.scene.cameras.select([view])).color[0] for view in self.order]
         return with_mapped_colors(gaussians, color_map(torch.cat(views), self.style.image))
+
+
+class _LinearRender(torch.autograd.Function):
+    """A linear view of colours, whose gradient is its transpose."""
+
+    @staticmethod
+    def forward(ctx: Any, colors: Float[Tensor, "N 3"], view: LinearView) -> Float[Tensor, "3 H W"]:
+        ctx.view = view
+        return view(colors)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Float[Tensor, "3 H W"]) -> tuple[Float[Tensor, "N 3"], None]:
+        return ctx.view.transposed(grads[0]), None
 
 
 def with_mapped_colors(gaussians: Gaussians, mapped: ColorMap) -> Gaussians:

@@ -57,6 +57,22 @@ def test_what_does_not_move_keeps_its_bits(preset):
     assert not torch.equal(result.harmonics, given.gaussians.harmonics)
 
 
+@pytest.mark.parametrize("kept", [0, 1 << 30])
+def test_views_that_are_linear_in_colours_have_the_loss_and_the_gradient_of_renders(kept, monkeypatch):
+    monkeypatch.setattr(scene_loop, "KEPT", kept)
+    chosen = method("method=nnfm")
+    loops = [loop_of(chosen), loop_of(chosen)]
+    loops[1].only_colors = False
+    losses = [loop.loss(view) for loop in loops for view in (0, 1)]
+    (losses[0] + losses[1]).backward()
+    (losses[2] + losses[3]).backward()
+    assert (len(loops[0].linear_views), len(loops[1].linear_views)) == (2 if kept else 0, 0)
+    torch.testing.assert_close(losses[:2], losses[2:], rtol=1e-5, atol=1e-7)
+    grads = [loop.splats.parameters["colors"].grad for loop in loops]
+    assert grads[1].abs().max() > 1e-6
+    torch.testing.assert_close(grads[0], grads[1], rtol=1e-3, atol=1e-3 * float(grads[1].abs().max()))
+
+
 def test_the_loss_falls():
     lines = []
     words = ("method=nnfm", "method.num_steps=16", "method.report_every=4")
