@@ -31,16 +31,37 @@ def lettered(text: str, size: int) -> tuple[str, Font]:
     Letters that no font has lose their accents or are left out, which a warning says once.
     """
     text, file = unicodedata.normalize("NFC", text), DEFAULT
-    letters = {letter for letter in text if not letter.isspace()}
+    letters = {letter for letter in text if not (letter.isspace() or _is_mark(letter))}
     if not all(_has(DEFAULT, letter) for letter in letters):
         file = max(_files(), key=lambda file: sum(_has(file, letter) for letter in letters))
     if not all(_has(file, letter) for letter in letters):
         _tell()
-        plain = (c if c.isspace() or _has(file, c) else unicodedata.normalize("NFKD", c) for c in text)
-        text = " ".join("".join(c for c in "".join(plain) if c.isspace() or _has(file, c)).split()) or "?"
+        text = " ".join("".join(_drawable(file, cluster) for cluster in _clusters(text)).split()) or "?"
     font = _font(file, size)
     assert font is not None
     return text, font
+
+
+def _clusters(text: str) -> list[str]:
+    """Letters, each with the marks that follow it: vowels of Devanagari, accents that no single letter has."""
+    clusters: list[str] = []
+    for letter in text:
+        if clusters and _is_mark(letter):
+            clusters[-1] += letter
+        else:
+            clusters.append(letter)
+    return clusters
+
+
+def _is_mark(letter: str) -> bool:
+    return unicodedata.category(letter).startswith("M")
+
+
+def _drawable(file: str, cluster: str) -> str:
+    """A letter with its marks if a font has it, else what it has of the letter without them."""
+    if cluster[0].isspace() or _has(file, cluster[0]):
+        return cluster
+    return "".join(c for c in unicodedata.normalize("NFKD", cluster) if not _is_mark(c) and _has(file, c))
 
 
 @cache
