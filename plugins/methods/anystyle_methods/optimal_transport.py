@@ -1,6 +1,5 @@
 """Optimal transport: match features of a render with those of the style image, none of them too often."""
 
-import math
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -82,19 +81,34 @@ class OptimalTransport(NNFM):
         return slice(None) if count <= self.num_samples else torch.randperm(count)[: self.num_samples]
 
 
+LARGEST = 1e30
+"""Factors are kept below it."""
+ABSORBED = 10
+"""Iterations of factors before they are taken into the logarithms, so that no exponential leaves single precision."""
+
+
 def transport_plan(
     cost: Float[Tensor, "N M"], capacity: float, epsilon: float, iterations: int
 ) -> Float[Tensor, "N M"]:
     """The plan of least cost that moves ``1 / N`` from each row and at most ``capacity / M`` to each column.
 
-    Sinkhorn's algorithm in the logarithmic domain: rows are scaled to their sums, columns where they exceed their limit
-    (Benamou et al. 2015, section 5). Rows have their exact sums.
+    Sinkhorn's algorithm: rows are scaled to their sums, columns where they exceed their limit (Benamou et al. 2015,
+    section 5), by factors that are now and then absorbed into the kernel (Schmitzer 2019, algorithm 2). Rows have
+    their exact sums.
     """
     (rows, columns), kernel = cost.shape, -cost / epsilon
-    log_mass, log_limit = -math.log(rows), math.log(capacity / columns)
+    mass, limit = 1 / rows, capacity / columns
+
+    def with_exact_rows(column: Float[Tensor, " M"]) -> Float[Tensor, "N M"]:
+        scaled = kernel + column
+        return mass * (scaled - scaled.logsumexp(1, keepdim=True)).exp()
+
     column = cost.new_zeros(columns)
-    for _ in range(iterations):
-        row = log_mass - (kernel + column).logsumexp(1)
-        column = (log_limit - (kernel + row[:, None]).logsumexp(0)).clamp_max(0)
-    row = log_mass - (kernel + column).logsumexp(1)
-    return (kernel + row[:, None] + column).exp()
+    for done in range(0, iterations, ABSORBED):
+        plan, factor = with_exact_rows(column), torch.ones_like(column)
+        highest = (-column).exp().clamp_max(LARGEST)  # the potential of a column that is not full is 0
+        for _ in range(min(ABSORBED, iterations - done)):
+            row = mass / (plan @ factor).clamp_min(1 / LARGEST)
+            factor = (limit / (plan.mT @ row)).minimum(highest)
+        column = column + factor.log()
+    return with_exact_rows(column)

@@ -1,5 +1,7 @@
 """Plans against linear programs, and the loss against nearest neighbours."""
 
+import math
+
 import pytest
 import torch
 from scipy.optimize import linprog
@@ -35,6 +37,20 @@ def test_a_plan_is_the_linear_program_s(capacity: float) -> None:
     assert float((plan * cost).sum()) == pytest.approx(exact.fun, abs=2e-3)
     torch.testing.assert_close(plan.sum(1), torch.full((rows,), 1 / rows).double())
     assert plan.sum(0).max() <= capacity / columns * 1.01
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("iterations", [1, 7, 50])
+def test_factors_are_steps_of_the_logarithmic_domain(iterations: int, dtype: torch.dtype) -> None:
+    cost, epsilon, capacity = costs(60, 40), 0.01, 1.3
+    kernel, column = -cost / epsilon, torch.zeros(40, dtype=torch.float64)
+    for _ in range(iterations):
+        row = -(kernel + column).logsumexp(1)
+        column = (math.log(capacity * 60 / 40) - (kernel + row[:, None]).logsumexp(0)).clamp_max(0)
+    expected = (kernel + column).softmax(1) / 60
+    plan = transport_plan(cost.to(dtype), capacity, epsilon, iterations)
+    atol = 1e-12 if dtype == torch.float64 else 2e-6
+    torch.testing.assert_close(plan.double(), expected, rtol=0, atol=atol)
 
 
 def test_without_a_limit_it_is_nearest_neighbours() -> None:
