@@ -53,6 +53,11 @@ def test_factors_are_steps_of_the_logarithmic_domain(iterations: int, dtype: tor
     torch.testing.assert_close(plan.double(), expected, rtol=0, atol=atol)
 
 
+def test_a_plan_has_no_denormal_numbers() -> None:
+    plan = transport_plan(2 * costs(60, 40).float(), 1.3, 0.01, 50)
+    assert plan[plan > 0].min() > 1e-35 and (plan == 0).any()
+
+
 def test_without_a_limit_it_is_nearest_neighbours() -> None:
     options = {"network": "texture", "layers": LAYERS, "size": None}
     result = stylization(RENDERED, PHOTOGRAPHS, STYLE)
