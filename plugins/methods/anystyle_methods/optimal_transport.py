@@ -84,7 +84,7 @@ class OptimalTransport(NNFM):
 LARGEST = 1e30
 """Factors are kept below it."""
 LEAST = -69.0
-"""Logarithm of the least share of a row that is kept: a processor takes a hundred times as long for denormal numbers."""
+"""Logarithm of the least share of a row that is kept; products with denormal numbers take a hundred times as long."""
 ABSORBED = 10
 """Iterations of factors before they are taken into the logarithms, so that no exponential leaves single precision."""
 
