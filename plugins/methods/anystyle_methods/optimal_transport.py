@@ -84,7 +84,7 @@ class OptimalTransport(NNFM):
 LARGEST = 1e30
 """Factors are kept below it."""
 LEAST = -69.0
-"""Logarithm of the least share of a row that is kept; products with denormal numbers take a hundred times as long."""
+"""Logarithm of the least share of a row; products with denormal numbers take a hundred times as long."""
 ABSORBED = 10
 """Iterations of factors before they are taken into the logarithms, so that no exponential leaves single precision."""
 
@@ -102,8 +102,7 @@ def transport_plan(
     mass, limit = 1 / rows, capacity / columns
 
     def with_exact_rows(column: Float[Tensor, " M"]) -> Float[Tensor, "N M"]:
-        shares = (kernel + column).log_softmax(1)
-        return mass * shares.where(shares > LEAST, -torch.inf).exp()
+        return mass * (kernel + column).log_softmax(1).clamp_min(LEAST).exp()
 
     column = cost.new_zeros(columns)
     for done in range(0, iterations, ABSORBED):
