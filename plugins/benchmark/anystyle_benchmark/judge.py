@@ -209,15 +209,19 @@ class Judge:
     def _new(
         self, names: Sequence[str], unit: Unit, styles: Sequence[str], lines: list[str]
     ) -> dict[str, loop.SceneFigures]:
-        """The metric loop; if a metric raises, each is computed by itself, those that raise left out and told."""
+        """The metric loop; if a metric raises, halves of them are tried, until those that raise are left out and told.
+
+        What the others read and compute is shared, as far as they stay together.
+        """
         torch.manual_seed(0)
         try:
             metrics = {name: self.metrics[name] for name in names}
             return loop.judge_scene(metrics, self._comparisons(unit, styles)) if metrics else {}
         except (UserError, ValueError) as error:
             if len(names) > 1:
-                alone = [self._new([one], unit, styles, lines) for one in names]
-                return {name: found for figures in alone for name, found in figures.items()}
+                halves = names[: len(names) // 2], names[len(names) // 2 :]
+                first, second = (self._new(half, unit, styles, lines) for half in halves)
+                return first | second
             text = f"{names[0]} has no figures in {unit.scene}: {one_line(error)}"
             text += "" if self.inputs.scene(unit.scene).geometry else " (the track has no geometry of this scene)"
             lines.append(text)
