@@ -125,6 +125,7 @@ NOT_RUN = {
     r"anystyle report verify DIR --all --cheap": "ends with 2 in a checkout with uncommitted changes",
     r"python -m tests\.benchmarks\.published head CHECKOUT": "minutes, and a checkout of the published code",
     r"python -m tests\.benchmarks\.": "minutes, and pictures that do not travel with the project",
+    r"python -m http\.server ": "serves until it is interrupted; formats/tests/test_lod.py serves such a folder",
     r"ssh ": "needs another machine",
     r"anystyle stylize outputs/poster/": "a run of nerfstudio; plugins/formats/tests makes one",
     r"anystyle nerfstudio export poster/": "the scene of that run",

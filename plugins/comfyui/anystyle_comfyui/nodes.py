@@ -242,6 +242,6 @@ class SaveScene(Node):
         folder, name, counter, *_ = folder_paths.get_save_image_path(filename_prefix, output)
         path = Path(folder, f"{name}_{counter:05}_.{format}")
         with running():
-            export_styles(scene.styled(), path, format)
-        line = f"{path.name}: {path.stat().st_size / 1e6:.2f} MB, {scene.title}"
+            size = export_styles(scene.styled(), path, format)
+        line = f"{path.name}: {size / 1e6:.2f} MB, {scene.title}"
         return io.NodeOutput(str(path), ui=ui.PreviewText(line))

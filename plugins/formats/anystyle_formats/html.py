@@ -4,6 +4,7 @@ import base64
 import gzip
 import html
 import json
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from io import BytesIO
 from math import sqrt
@@ -49,34 +50,53 @@ class Html(Format):
         for title, style in zip(titles, styles, strict=True):
             if style.means.shape != means.shape or not bool((style.means == means).all()):
                 raise UserError(f"the style {title!r} has other Gaussians than {titles[0]!r}; one page, one scene")
-        blob, packing, entries = _packed(titles, styles)
-        cameras = scene.cameras if scene.names else _looking_at(means, styles[0].opacities)
-        manifest = packing | {
-            "styles": entries,
-            "title": scene.title,
-            "notes": readable(scene.notes),
-            "first": len(styles) - 1,
-            "opening": best_view(means, styles[0].opacities, cameras),
-            "cameras": _cameras(cameras),
-        }
-        for title, entry in zip(titles, entries, strict=True):
-            if title in scene.pictures:
-                entry["picture"] = _small(scene.pictures[title])
-        template, style, script = (
-            (files("anystyle_formats") / "page" / f"page.{kind}").read_text(encoding="utf-8")
-            for kind in ("html", "css", "js")
-        )
-        linked = json_ld(scene)
-        page = Template(template).substitute(
-            title=html.escape(scene.title or "A scene by anystyle"),
-            style=style,
-            manifest=_script(manifest),
-            linked=f'<script type="application/ld+json">{_script(linked)}</script>' if linked else "",
-            data=base64.b64encode(gzip.compress(blob, mtime=0)).decode(),
-            script=script,
-        )
+        blob, packing, entries = _packed(styles)
+        page = page_of(scene, packing, entries, data=base64.b64encode(gzip.compress(blob, mtime=0)).decode())
         with atomic_path(path) as temporary:
             temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
+
+
+def page_of(
+    scene: StyledScene, packing: Mapping[str, object], entries: Sequence[dict[str, object]], *, data: str = ""
+) -> str:
+    """The page of a scene.
+
+    Args:
+        scene: Gives all but Gaussians: cameras, title, notes, pictures.
+        packing: How ``page.js`` unpacks the Gaussians of all styles.
+        entries: The same of each style.
+        data: The Gaussians; without them the page loads ``lod-meta.json`` beside it.
+    """
+    splats = scene.splats(0)
+    cameras = scene.cameras if scene.names else _looking_at(splats.means, splats.opacities)
+    manifest = {
+        **packing,
+        "styles": entries,
+        "title": scene.title,
+        "notes": readable(scene.notes),
+        "first": len(entries) - 1,
+        "opening": best_view(splats.means, splats.opacities, cameras),
+        "cameras": _cameras(cameras),
+        "streamed": not data,
+    }
+    for (title, _), entry in zip(scene.styles, entries, strict=True):
+        entry["title"] = title
+        if title in scene.pictures:
+            entry["picture"] = _small(scene.pictures[title])
+    template, style, script = (
+        (files("anystyle_formats") / "page" / f"page.{kind}").read_text(encoding="utf-8")
+        for kind in ("html", "css", "js")
+    )
+    linked = json_ld(scene)
+    return Template(template).substitute(
+        title=html.escape(scene.title or "A scene by anystyle"),
+        policy="" if data else "; connect-src 'self'",
+        style=style,
+        manifest=_script(manifest),
+        linked=f'<script type="application/ld+json">{_script(linked)}</script>' if linked else "",
+        data=data,
+        script=script,
+    )
 
 
 def _script(value: object) -> str:
@@ -107,7 +127,7 @@ def _small(picture: Image.Image) -> str:
     return f"data:image/webp;base64,{base64.b64encode(data.getvalue()).decode()}"
 
 
-def _packed(titles: list[str], styles: list[Splats]) -> tuple[bytes, dict[str, object], list[dict[str, object]]]:
+def _packed(styles: list[Splats]) -> tuple[bytes, dict[str, object], list[dict[str, object]]]:
     """The quantised scene, column by column, what ``page.js`` needs to unpack it, and the same of each style."""
     columns = [columns_of(style) for style in styles]
     order = morton_order(columns[0].means)
@@ -120,12 +140,12 @@ def _packed(titles: list[str], styles: list[Splats]) -> tuple[bytes, dict[str, o
     rotations: dict[bytes, int] = {}  # styles share rotations as a rule
     entries: list[dict[str, object]] = []
     colors: list[bytes] = []
-    for title, style in zip(titles, columns, strict=True):
+    for style in columns:
         # The other components are fractions of ±1/√2.
         largest_of, others = smallest_three(style.rotations[order])
         fractions = np.round((others / sqrt(2) + 0.5) * 1023).clip(0, 1023).astype(np.uint32)
         rotation = rotations.setdefault(joined_bits(largest_of, fractions).tobytes(), len(rotations))
-        entries.append({"title": title, "rotation": rotation})
+        entries.append({"rotation": rotation})
         colors.append(in_bytes((style.harmonics[order, 0] * CONSTANT + 0.5) * 255).T.tobytes())
     shared = (column.T.tobytes() for column in (positions, sizes, in_bytes(opacities * 255)))
     return (

@@ -7,7 +7,7 @@ The format is described in PlayCanvas's user manual (developer.playcanvas.com, "
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import ceil, isqrt, sqrt
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -26,12 +26,14 @@ from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import near
 from anystyle.pipeline.provenance import tables
 from anystyle.types import StyledScene
-from anystyle_formats.packing import columns_of, in_bytes, in_words, morton_order, smallest_three
+from anystyle_formats.packing import Columns, columns_of, in_bytes, in_words, morton_order, smallest_three
 from anystyle_formats.provenance import joined_notes, lines_of
 from anystyle_formats.reading import gaussians, reading, room_for
 
 PALETTE = 65_536
 """The format's limit on distinct sets of higher harmonics."""
+Encoded = tuple[dict[str, Any], dict[str, bytes]]
+"""Attributes in ``meta.json``, and their images by name."""
 
 
 class Sog(Format):
@@ -42,46 +44,11 @@ class Sog(Format):
     def write(self, scene: StyledScene, path: Path) -> None:
         columns = columns_of(scene.splats())
         order = morton_order(columns.means)
-        means, rotations, scales, opacities, harmonics = (column[order] for column in columns)
-        positions, low, high = in_words(means)
-        largest, others = smallest_three(rotations)
-        scale_book, scale_index = codebook(np.log(np.maximum(scales, 1e-12)))
-        color_book, color_index = codebook(harmonics[:, 0])
-        pictures = {
-            "means_l.webp": positions & 255,
-            "means_u.webp": positions >> 8,
-            "quats.webp": np.concatenate([np.round((others / sqrt(2) + 0.5) * 255), 252 + largest[:, None]], 1),
-            "scales.webp": scale_index,
-            "sh0.webp": np.concatenate([color_index, in_bytes(opacities * 255)[:, None]], 1),
-        }
-        meta = {
-            "version": 2,
-            "asset": {
-                "generator": "anystyle",
-                "copyright": "\n".join(lines_of(scene.notes)),
-                **({"provenance": made_of} if (made_of := tables(scene.notes)) else {}),
-            },
-            "count": len(means),
-            "antialias": False,
-            "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
-            "scales": {"codebook": scale_book.tolist(), "files": ["scales.webp"]},
-            "quats": {"files": ["quats.webp"]},
-            "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
-        }
-        width = max(4, ceil(sqrt(len(means)) / 4) * 4)
-        images = {name: _webp(values, width) for name, values in pictures.items()}
-        degree = min(isqrt(harmonics.shape[1]) - 1, MAX_DEGREE)
-        if degree:
-            rest = harmonics[:, 1 : (degree + 1) ** 2]
-            centroids, labels = palette(rest.reshape(len(rest), -1))
-            book, index = codebook(centroids)
-            blocks = index.reshape(len(centroids), -1, 3)
-            images["shN_centroids.webp"] = _webp(blocks.reshape(-1, 3), 64 * blocks.shape[1])
-            images["shN_labels.webp"] = _webp(np.stack([labels & 255, labels >> 8, 0 * labels], 1), width)
-            files = ["shN_centroids.webp", "shN_labels.webp"]
-            meta["shN"] = {"count": len(centroids), "bands": degree, "codebook": book.tolist(), "files": files}
+        columns = Columns(*(column[order] for column in columns))
+        (shape, images), (colors, more) = encoded_shape(columns), encoded_colors(columns)
+        meta = {"version": 2, "asset": asset(scene.notes), "count": len(order), "antialias": False, **shape, **colors}
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-            for name, data in {"meta.json": json.dumps(meta).encode(), **images}.items():
+            for name, data in {"meta.json": json.dumps(meta).encode(), **images, **more}.items():
                 archive.writestr(zipfile.ZipInfo(name), data)
 
     def read(self, path: Path) -> StyledScene:
@@ -124,6 +91,56 @@ class Sog(Format):
             asset = meta.get("asset", {})
             notes = joined_notes(str(asset.get("copyright", "")).splitlines(), asset.get("provenance"))
         return StyledScene(((path.stem, scene),), notes=notes, offset=offset)
+
+
+def asset(notes: Sequence[str]) -> dict[str, Any]:
+    """What ``asset`` says of a scene's notes."""
+    made_of = tables(notes)
+    named = {"generator": "anystyle", "copyright": "\n".join(lines_of(notes))}
+    return {**named, "provenance": made_of} if made_of else named
+
+
+def encoded_shape(columns: Columns) -> Encoded:
+    """Positions, sizes and rotations of Gaussians in their order."""
+    means, rotations, scales, *_ = columns
+    positions, low, high = in_words(means)
+    largest, others = smallest_three(rotations)
+    book, index = codebook(np.log(np.maximum(scales, 1e-12)))
+    meta = {
+        "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": book.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+    }
+    pictures = {
+        "means_l.webp": positions & 255,
+        "means_u.webp": positions >> 8,
+        "quats.webp": np.concatenate([np.round((others / sqrt(2) + 0.5) * 255), 252 + largest[:, None]], 1),
+        "scales.webp": index,
+    }
+    return meta, {name: _webp(values, _width(len(means))) for name, values in pictures.items()}
+
+
+def encoded_colors(columns: Columns) -> Encoded:
+    """Colours and opacities of Gaussians in their order."""
+    harmonics, width = columns.harmonics, _width(len(columns.means))
+    book, index = codebook(harmonics[:, 0])
+    meta: dict[str, Any] = {"sh0": {"codebook": book.tolist(), "files": ["sh0.webp"]}}
+    images = {"sh0.webp": _webp(np.concatenate([index, in_bytes(columns.opacities * 255)[:, None]], 1), width)}
+    degree = min(isqrt(harmonics.shape[1]) - 1, MAX_DEGREE)
+    if degree:
+        rest = harmonics[:, 1 : (degree + 1) ** 2]
+        centroids, labels = palette(rest.reshape(len(rest), -1))
+        book, index = codebook(centroids)
+        blocks = index.reshape(len(centroids), -1, 3)
+        images["shN_centroids.webp"] = _webp(blocks.reshape(-1, 3), 64 * blocks.shape[1])
+        images["shN_labels.webp"] = _webp(np.stack([labels & 255, labels >> 8, 0 * labels], 1), width)
+        files = ["shN_centroids.webp", "shN_labels.webp"]
+        meta["shN"] = {"count": len(centroids), "bands": degree, "codebook": book.tolist(), "files": files}
+    return meta, images
+
+
+def _width(count: int) -> int:
+    return max(4, ceil(sqrt(count) / 4) * 4)
 
 
 def _between(part: Mapping[str, Any], values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -87,7 +87,8 @@ def test_notes_are_in_the_file_or_beside_it(tmp_path):
     splats = [name for name in catalog().names("format") if not catalog().find("format", name).load().needs_cameras]
     for name in splats:
         export(scene(), tmp_path / f"scene.{name}", name, notes=notes)
-        held = b"CC-BY-NC-4.0" in (tmp_path / f"scene.{name}").read_bytes()
+        path = tmp_path / f"scene.{name}"
+        held = b"CC-BY-NC-4.0" in (path / "lod-meta.json" if path.is_dir() else path).read_bytes()
         beside = tmp_path / f"scene.{name}.txt"
         assert held == build(Format, name).has_notes and beside.is_file() != held
 

@@ -82,9 +82,8 @@ def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None
     splat = only_options("splat", overrides)
     saved = read_saved(arguments.input, splat.up, activated=splat.activated)
     saved = replace(saved, title=arguments.input.resolve().stem)
-    export_styles(anonymous(saved) if arguments.no_provenance else saved, arguments.html, "html")
-    size = arguments.html.stat().st_size / 1e6
-    print(f"{arguments.html}: {len(saved.styles)} styles, {size:.2f} MB; open it in any browser")
+    size = export_styles(anonymous(saved) if arguments.no_provenance else saved, arguments.html, "html")
+    print(f"{arguments.html}: {len(saved.styles)} styles, {size / 1e6:.2f} MB; open it in any browser")
 
 
 def _open_start_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:

@@ -17,7 +17,7 @@ def parser() -> argparse.ArgumentParser:
     add, axes = words.add_argument, ("opencv", "y", "z")
     add("scene", type=Path, help="a file of Gaussians, or a folder of anystyle stylize")
     add("--to", help="the format, one of `anystyle plugins format` (default: the suffix of --out)")
-    add("--out", type=Path, required=True, help="the file to write")
+    add("--out", type=Path, required=True, help="the file to write, or the folder")
     add("--up", choices=axes, help="axes of the file (default: what readers of the format expect)")
     add("--from-up", choices=axes, help="axes of another program's file (default: what it says, or else its format)")
     add("--no-provenance", action="store_true", help="leave out what the scene was made of, names and texts")
@@ -49,8 +49,8 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
         saved = with_stored_cameras(saved, arguments.scene, splat.folder)
     saved = replace(saved, title=arguments.scene.resolve().stem)
     saved = anonymous(saved) if arguments.no_provenance else saved
-    export_styles(saved, arguments.out, name, up=arguments.up)
-    print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB, {saved.styles[-1][0]}")
+    size = export_styles(saved, arguments.out, name, up=arguments.up)
+    print(f"{arguments.out}: {size / 1e6:.2f} MB, {saved.styles[-1][0]}")
 
 
 if __name__ == "__main__":

@@ -30,6 +30,8 @@ class Format(Pluggable, ABC):
 
     many_styles: ClassVar[bool] = False
     """Whether a file has room for several styles."""
+    folder: ClassVar[bool] = False
+    """Whether a scene is a folder of files."""
 
     @abstractmethod
     def write(self, scene: StyledScene, path: Path) -> None:
@@ -38,7 +40,7 @@ class Format(Pluggable, ABC):
         Args:
             scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible. A format with room
                 for one style takes the last.
-            path: The file.
+            path: The file, or the folder.
 
         Raises:
             UserError: The format cannot hold the scene.
