@@ -125,6 +125,18 @@ def test_a_browser_opens_where_there_is_a_display(tmp_path, display):
     assert not display or (tmp_path / "opened").read_text() == (tmp_path / "page.html").as_uri() + "\n"
 
 
+def test_styles_that_move_gaussians_have_files_of_their_own(photographs, tmp_path):
+    for name, color in (("red", (200, 30, 30)), ("blue", (30, 30, 200))):
+        Image.new("RGB", (40, 30), color).save(tmp_path / f"{name}.png")
+    images = ("--image", tmp_path / "red.png", "--image", tmp_path / "blue.png")
+    words = ("method=optimize", "loss=[total_variation]", "method.num_steps=1", "method.means_lr=0.1")
+    run(photographs, *images, "--export", "html,glb", "--out", tmp_path / "out", *words, *SMALL)
+    names = {str(path.relative_to(tmp_path / "out")) for path in tmp_path.glob("out/**/scene.*[lb]")}
+    assert names == {f"{folder}/scene.{kind}" for folder in ("01-red", "02-blue") for kind in ("html", "glb")}
+    (title, _), *others = read_saved(tmp_path / "out" / "02-blue" / "scene.glb").styles
+    assert title == "blue" and not others
+
+
 def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_bytes(
     photographs, tmp_path, capsys, monkeypatch
 ):

@@ -46,9 +46,9 @@ class Html(Format):
     def write(self, scene: StyledScene, path: Path) -> None:
         titles = [title for title, _ in scene.styles]
         styles = [scene.splats(index) for index in range(len(titles))]
-        means = styles[0].means
+        shape = styles[0].means, styles[0].scales, styles[0].opacities
         for title, style in zip(titles, styles, strict=True):
-            if style.means.shape != means.shape or not bool((style.means == means).all()):
+            if not all(map(torch.equal, (style.means, style.scales, style.opacities), shape)):
                 raise UserError(f"the style {title!r} has other Gaussians than {titles[0]!r}; one page, one scene")
         blob, packing, entries = _packed(styles)
         page = page_of(scene, packing, entries, data=base64.b64encode(gzip.compress(blob, mtime=0)).decode())

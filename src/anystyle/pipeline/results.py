@@ -61,8 +61,10 @@ class Result:
 
     @property
     def alike(self) -> bool:
-        """Whether it has as many Gaussians as the unstyled scene; some methods add some."""
-        return self.gaussians.means.shape == self.results.restyler.unstyled.means.shape
+        """Whether it differs from the unstyled scene in colours and rotations alone; some methods move or add more."""
+        unstyled = self.results.restyler.unstyled
+        shared = ("means", "scales", "opacities")
+        return all(torch.equal(getattr(self.gaussians, name), getattr(unstyled, name)) for name in shared)
 
     @property
     def _only_colors(self) -> bool:
