@@ -170,7 +170,15 @@ def test_bad_inputs_end_in_one_line(tmp_path):
         frame.sample_rate = 44100
         for packet in [*stream.encode(frame), *stream.encode()]:
             container.mux(packet)
-    told = {"empty": "no images in the folder", "absent": "no folder, image or video", "sound.mp4": "no video in it"}
+    (tmp_path / "web" / "0_0").mkdir(parents=True)
+    (tmp_path / "web" / "lod-meta.json").write_text("{}")
+    Image.new("RGB", (8, 8)).save(tmp_path / "web" / "0_0" / "sh0.webp", lossless=True)
+    told = {
+        "empty": "no images in the folder",
+        "web": "is a streamed scene",
+        "absent": "no folder, image or video",
+        "sound.mp4": "no video in it",
+    }
     for name, words in (told | {"bad.png": "no photograph can be read", "bad.mp4": "is not a video"}).items():
         with pytest.raises(ValueError, match=words) as caught:
             read(tmp_path / name)
