@@ -27,7 +27,7 @@ from anystyle_benchmark.results import Cell, Origin, Record, is_done, wrong_imag
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
-LOG = "log.txt"
+LOG, ORIGIN = "log.txt", "origin.json"
 FIRST_POLL, LAST_POLL = 0.01, 0.2
 """Seconds between looks at a process: short at first, as one that soon ends has its peak of memory soon."""
 
@@ -65,16 +65,18 @@ def run_scene(
     try:
         with FileLock(folder / ".lock", timeout=0):
             scratch = folder / ".job"
-            _collect(scratch / "out", cells, scene.views, size, root, Ended(), Origin())  # of an interrupted run
+            interrupted = kept_json(scratch / ORIGIN, Origin) or Origin()
+            _collect(scratch / "out", cells, scene.views, size, root, Ended(), interrupted)
             missing = [style for style in styles if style.name in cells and not is_done(cells[style.name], root)]
             if not missing:
                 return list(cells.values())
             say(f"{title}, seed {seed}: {len(missing)} style{'s' * (len(missing) > 1)} …")
             shutil.rmtree(scratch, ignore_errors=True)
             (scratch / "out").mkdir(parents=True)
+            origin = Origin() if spec.folder is not None else origin_now(spec)
+            write_json(scratch / ORIGIN, msgspec.to_builtins(origin))  # for what an interruption leaves whole
             ended = ask(make_job(inputs, scene, missing, seed, scratch.resolve() / "out", pages), spec, home)
             wanted = {style.name: cells[style.name] for style in missing}
-            origin = Origin() if ended.memory is None else origin_now(spec)
             found = _collect(scratch / "out", wanted, scene.views, size, root, ended, origin)
             failures = {
                 name: ended.failure or _absent(scratch, name, scene.views, size) for name in wanted if name not in found
@@ -191,7 +193,7 @@ def _collect(
 def _absent(scratch: Path, name: str, views: Sequence[str], size: tuple[int, int]) -> str:
     """What is wrong with a style that a program left no images of, though it ended well."""
     wrong = wrong_images(scratch / "out" / name, views, size)
-    ours = {scratch / "job.json", scratch / LOG, *(scratch / "out" / name for name in (SECONDS, WEIGHTS))}
+    ours = {scratch / name for name in ("job.json", LOG, ORIGIN, f"out/{SECONDS}", f"out/{WEIGHTS}")}
     others = [path for path in scratch.rglob("*") if path.is_file() and path not in ours]
     elsewhere = [str(path.relative_to(scratch)) for path in others if path.parent != scratch / "out" / name]
     return wrong[0] + (f"; it wrote {listing(elsewhere, 3)}" if elsewhere else "")

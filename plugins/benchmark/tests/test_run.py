@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from anystyle.errors import UserError
+from anystyle.io.atomic import write_json
 from anystyle.io.documents import read_json
 from anystyle_benchmark.command_run import main
 from anystyle_benchmark.environment import interpreter
@@ -101,8 +102,10 @@ def test_styles_that_an_interrupted_run_left_whole_are_kept(world):
     out.mkdir(parents=True)
     for view in ("0", "2"):
         Image.new("RGB", (32, 24)).save(out / f"{view}.png")
+    write_json(out.parents[1] / "origin.json", {"code": "0123abc"})
     records = ran(world, spec, "scenes=one")
-    assert records["one", "a"].status == "done" and records["one", "b"].message == "never run"
+    assert records["one", "a"].status == "done" and records["one", "a"].origin.code == "0123abc"
+    assert records["one", "b"].origin.code != "0123abc" and records["one", "b"].message == "never run"
 
 
 @pytest.mark.parametrize(
