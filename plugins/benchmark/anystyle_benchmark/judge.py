@@ -259,8 +259,9 @@ def _begin(inputs: Inputs, root: Path, chosen: Sequence[str]) -> None:
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all, and the first one ends the others
     torch.set_num_threads(1)
-    logging.disable(logging.WARNING)  # of networks that stand in, which the first process has told
+    logging.disable(logging.WARNING)  # which networks stand in, the first process has told
     _worker = Judge(inputs, root, chosen)
+    logging.disable(logging.NOTSET)
 
 
 def _judge(unit: Unit) -> Found:

@@ -240,12 +240,8 @@ def joined(figures: Figures, others: Figures) -> Figures:
         words = [f"track {one.name} {one.version}, judge {one.protocol}" for one in (others.track, figures.track)]
         raise UserError("its inputs differ" if words[0] == words[1] else f"it is of {words[0]}, not of {words[1]}")
     metrics = others.metrics | figures.metrics
-    networks = ("stand_in", "weights")
-    if strange := [
-        name
-        for name in figures.metrics.keys() & others.metrics.keys()
-        if any(getattr(metrics[name], what) != getattr(others.metrics[name], what) for what in networks)
-    ]:
+    both = [(name, metrics[name], others.metrics[name]) for name in figures.metrics if name in others.metrics]
+    if strange := [name for name, one, other in both if (one.stand_in, one.weights) != (other.stand_in, other.weights)]:
         raise UserError(f"other networks computed {', '.join(sorted(strange))}")
     names = others.methods.keys() - figures.methods.keys()
     return msgspec.structs.replace(

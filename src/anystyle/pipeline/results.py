@@ -69,9 +69,8 @@ class Result:
     @property
     def _only_colors(self) -> bool:
         """Whether all but colours is as it was given."""
-        unstyled, geometry = self.results.restyler.unstyled, ("means", "rotations", "scales", "opacities")
-        alike = (torch.equal(getattr(self.gaussians, name), getattr(unstyled, name)) for name in geometry)
-        return self.results.export.up in (None, "opencv") and all(alike)
+        turned = not torch.equal(self.gaussians.rotations, self.results.restyler.unstyled.rotations)
+        return self.results.export.up in (None, "opencv") and self.alike and not turned
 
     @property
     def report(self) -> dict[str, object]:
