@@ -60,6 +60,10 @@ def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):
     assert json.loads((out / "metrics.json").read_text())["train/loss"] == pytest.approx(outcome.metrics["train/loss"])
 
 
+def test_a_run_leaves_torch_as_it_was(uninterrupted):
+    assert not torch.are_deterministic_algorithms_enabled()
+
+
 def test_a_pipeline_is_not_one_training(tmp_path):
     with pytest.raises(UserError, match=r"a pipeline; train each of tiny_\w+, .*, or run `anystyle train`"):
         anystyle.train(["experiment=tiny_all"], tmp_path)

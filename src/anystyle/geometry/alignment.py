@@ -93,7 +93,8 @@ def _robust_kabsch(matches: MatchedPoints, rounds: int) -> Rigid:
         predicted = matches.source @ motion.rotation.mT + motion.translation[:, None]
         # Depth errors grow with depth.
         error = (predicted - matches.target).norm(dim=-1) / matches.target.norm(dim=-1).clamp_min(1e-6)
-        spread = error.median(-1, keepdim=True).values.clamp_min(1e-4)
+        # The lower median, as torch.median's, which has no deterministic kernel for CUDA.
+        spread = error.sort(-1).values[..., (error.shape[-1] - 1) // 2, None].clamp_min(1e-4)
         motion = kabsch(matches.source, matches.target, weight / (1 + (error / spread).square()))
     return motion
 

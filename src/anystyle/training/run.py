@@ -84,11 +84,24 @@ def train(
     # Before the lock, which would change a folder that may be read-only.
     if not config.fast_dev_run and (outcome := _finished(config, out)) is not None:
         return outcome
-    with exclusive(out) as check:
+    with exclusive(out) as check, _settings_of_torch_kept():
         if not config.fast_dev_run:
             return _finished(config, out) or _train(config, out, on_begin, check)
         with _trial(config, out) as (short, folder):
             return replace(_train(short, folder, lambda step: None, check), weights=())
+
+
+@contextmanager
+def _settings_of_torch_kept() -> Iterator[None]:
+    """Lightning makes algorithms deterministic for the whole process, which may go on with other work."""
+    enabled = torch.are_deterministic_algorithms_enabled()
+    warn_only = torch.is_deterministic_algorithms_warn_only_enabled()
+    benchmark = torch.backends.cudnn.benchmark
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(enabled, warn_only=warn_only)
+        torch.backends.cudnn.benchmark = benchmark
 
 
 def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check: Callable[[], None]) -> Outcome:

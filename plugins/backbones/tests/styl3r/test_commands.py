@@ -18,7 +18,7 @@ SMALL = (
     *(f"backbone.{word}" for word in (*TRUNK, "decoder_dim=24", "decoder_depth=4", "decoder_heads=2", "resolution=32")),
     "backbone.features=16", "backbone.channels=[8,8,8,8]", "backbone.hidden=8",
     *(f"style_encoder.{word}" for word in (*TRUNK, "resolution=32")),
-    "weights.backbone=null", "renderer=cpu",
+    "weights.backbone=null",
 )  # fmt: skip
 
 

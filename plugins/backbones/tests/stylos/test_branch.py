@@ -121,7 +121,7 @@ def test_photographs_and_a_painting_to_a_scene(tmp_path: Path, caplog: pytest.Lo
     options = {f"backbone.{name}": value for name, value in Stylos.example(tmp_path).items()}
     options |= {f"style_encoder.{name}": value for name, value in StylosStyle.example(tmp_path).items()}
     network = [f"{name}={list(value) if isinstance(value, tuple) else value}" for name, value in options.items()]
-    small = ["poses=predicted", "views.short_side=56", "video.frames=2", "video.scale=0.5", "renderer=cpu"]
+    small = ["poses=predicted", "views.short_side=56", "video.frames=2", "video.scale=0.5"]
     words = [tmp_path / "photos", "--image", tmp_path / "a.png", "--out", tmp_path / "out", "model=stylos"]
     stylize.main([*map(str, words), "weights.backbone=null", *network, *small])
     assert (tmp_path / "out" / "scene.ply").is_file() and "the backbone is untrained" in caplog.text
