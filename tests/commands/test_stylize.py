@@ -19,6 +19,8 @@ from anystyle.io.atomic import folder_lock
 from anystyle.io.video import write_video
 from anystyle.pipeline.saved import read_saved
 from anystyle.stylizer import Stylizer
+from anystyle_formats.html import Html
+from anystyle_formats.splat import Splat
 
 SMALL = ["video.frames=3", "video.scale=0.5", "views.take=3", "views.short_side=56"]
 
@@ -135,6 +137,27 @@ def test_styles_that_move_gaussians_have_files_of_their_own(photographs, tmp_pat
     assert names == {f"{folder}/scene.{kind}" for folder in ("01-red", "02-blue") for kind in ("html", "glb")}
     (title, _), *others = read_saved(tmp_path / "out" / "02-blue" / "scene.glb").styles
     assert title == "blue" and not others
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_a_format_cannot_write_is_told_and_all_else_is_kept(photographs, tmp_path, capsys, monkeypatch, count):
+    def refuse(self, scene, path):
+        raise UserError("no room for it")
+
+    def broken(self, scene, path):
+        raise IndexError("of a plugin")
+
+    monkeypatch.setattr(Html, "write", refuse)
+    monkeypatch.setattr(Splat, "write", broken)
+    texts = ("--text", "dots", "--text", "stripes")[: 2 * count]
+    line = fails(capsys, photographs, *texts, "--export", "html,splat,glb", "--out", tmp_path / "out", *SMALL)
+    out, folders = tmp_path / "out", [""] if count == 1 else ["01-dots/", "02-stripes/"]
+    missing = [f"{folder}scene.splat: of a plugin" for folder in folders]
+    assert all(f" {part}; " in line for part in (*missing, "scene.html: no room for it"))
+    assert line.endswith(f"not written, and all else is in {out}")
+    names = {str(path.relative_to(out)) for path in out.rglob("scene.*")}
+    assert names == {"scene.glb", *(f"{folder}scene.{kind}" for folder in folders for kind in ("ply", "safetensors"))}
+    assert (out / "report.json").is_file() and (out / "sheet.png").is_file()
 
 
 def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_bytes(

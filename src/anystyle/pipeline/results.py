@@ -15,7 +15,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.errors import UserError
+from anystyle.errors import UserError, one_line
 from anystyle.formats.ply import comments
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
@@ -114,6 +114,7 @@ class Result:
         """Write all files of this result; those of the same names are replaced, whole or not at all."""
         with atomic_directory(folder) as temporary, self.results.stages("write", WRITTEN):
             self.write(temporary)
+        self.results.check_written(Path(folder), temporary)
 
     def write(self, folder: Path) -> Column:
         """Write all files into a folder that has none of them, and return the column of a sheet over several styles."""
@@ -136,7 +137,7 @@ class Result:
         else:
             formats = ["ply", *formats]
         for name in dict.fromkeys(formats):
-            export_styles(scene, folder / f"scene.{name}", name, up=options.up)
+            results.export_scene(scene, folder / f"scene.{name}", name)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         names, followed = encoded.targets or (encoded.names, self.cameras)
@@ -195,6 +196,8 @@ class Results:
         self.video = film(request.config.video, self._render_until_given_up)
         self.given_up = False
         """Whether a film that is being written in a thread will not be needed."""
+        self.failed: list[tuple[Path, Exception]] = []
+        """Files that formats could not write, and why; all others are written."""
 
     def _render_until_given_up(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         if self.given_up:
@@ -221,6 +224,23 @@ class Results:
         """
         with atomic_directory(folder) as temporary:
             self.write(temporary)
+        self.check_written(Path(folder), temporary)
+
+    def export_scene(self, scene: StyledScene, path: Path, name: str) -> None:
+        """Write a scene as a file of a format, or note that the format cannot: results are whole without it."""
+        try:
+            export_styles(scene, path, name, up=self.export.up)
+        except OSError:  # no room is left, for other files neither
+            raise
+        except Exception as error:
+            self.failed.append((path, error))
+
+    def check_written(self, folder: Path, temporary: Path) -> None:
+        """Raise a UserError if formats could not write files of a folder, in which results were written as another."""
+        failed, self.failed = self.failed, []
+        if failed:
+            lines = "; ".join(f"{path.relative_to(temporary)}: {one_line(error)}" for path, error in failed)
+            raise UserError(f"{lines}; not written, and all else is in {folder}") from failed[0][1]
 
     def write(self, folder: Path) -> None:
         """Write all results into a folder that has none of their files."""
@@ -248,7 +268,7 @@ class Results:
             if len(self) > 1:
                 self.write_sheet(folder, columns)
             for name in self.common_formats if len(alike) > 1 else []:
-                export_styles(self.scene(alike, self.styles), folder / f"scene.{name}", name, up=self.export.up)
+                self.export_scene(self.scene(alike, self.styles), folder / f"scene.{name}", name)
         if len(self) > 1:
             common = {"style": [style.title for style in self.styles], "provenance": tables(self.notes(self.styles))}
             write_json(folder / "report.json", report | self.stages.report() | common)

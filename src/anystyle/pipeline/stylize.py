@@ -78,8 +78,8 @@ def stylize(
         One result per style and control, each computed when it is asked for.
 
     Raises:
-        UserError: An input or a style cannot be read, memory does not suffice, a result is not finite, or ``out`` is
-            not free.
+        UserError: An input or a style cannot be read, memory does not suffice, a result is not finite, ``out`` is not
+            free, or a format cannot hold the scene, and all other files are in ``out``.
         FileNotFoundError: A file of weights is missing.
 
     Example:
@@ -113,6 +113,8 @@ def stylize(
         results = Results(encoded, embedded, loaded, request, stages)
         if folder is not None:
             results.write(folder)
+    if out is not None and folder is not None:
+        results.check_written(Path(out), folder)
     return results
 
 
