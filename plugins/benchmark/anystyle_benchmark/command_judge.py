@@ -3,7 +3,8 @@
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -17,7 +18,7 @@ from anystyle.io.documents import as_number
 from anystyle.io.limits import free
 from anystyle_benchmark.judge import Judge, inputs_of, read_methods, wrong
 from anystyle_benchmark.ladder import Ladder, bundled
-from anystyle_benchmark.results import FIGURES, Figures, Interval, bind, joined, read_figures
+from anystyle_benchmark.results import FIGURES, Figures, Interval, bind, joined, read_figures, require_same_track
 from anystyle_benchmark.statistics import cost
 from anystyle_benchmark.track import Inputs
 
@@ -49,6 +50,15 @@ def parser() -> argparse.ArgumentParser:
     return flags
 
 
+@contextmanager
+def _naming(beside: Path | None, results: Path) -> Iterator[None]:
+    """Let a refusal say which results do not fit together."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{beside} cannot be shown beside {results}: {error}") from None
+
+
 def main(args: Sequence[str]) -> None:
     """Run ``anystyle benchmark judge``."""
     arguments = parse(parser(), args)
@@ -68,14 +78,15 @@ def main(args: Sequence[str]) -> None:
     inputs = inputs_of(results, arguments.track, arguments.root)
     lock = bind(inputs, results)
     chosen = tuple(filter(None, arguments.metrics.split(",")))
-    others = None if arguments.beside is None else read_figures(arguments.beside)
     judge = Judge(inputs, results, chosen, processes=processes_of(arguments))
+    others = None if arguments.beside is None else read_figures(arguments.beside)
+    with _naming(arguments.beside, results):
+        if others is not None:
+            require_same_track(lock, others.track)  # before hours of judging
     figures = judge(specs, lock, progress_lines())
-    if others is not None:
-        try:
+    with _naming(arguments.beside, results):
+        if others is not None:
             figures = joined(figures, others)
-        except UserError as error:
-            raise UserError(f"{arguments.beside} cannot be shown beside {results}: {error}") from None
     write_json(results / FIGURES, msgspec.to_builtins(figures))
     table = summary(figures, bundled(inputs.file.parent, figures)).markdown()
     for name, text in (("table.md", table), ("table.csv", listing(figures).csv())):

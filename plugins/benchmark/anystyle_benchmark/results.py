@@ -234,11 +234,16 @@ def read_figures(root: Path) -> Figures:
     return read_json(path, Figures, what="file of figures")
 
 
+def require_same_track(track: Lock, other: Lock) -> None:
+    """Raise a UserError that says how another track or judge differs."""
+    if other.digest != track.digest:
+        words = [f"track {one.name} {one.version}, judge {one.protocol}" for one in (other, track)]
+        raise UserError("its inputs differ" if words[0] == words[1] else f"it is of {words[0]}, not of {words[1]}")
+
+
 def joined(figures: Figures, others: Figures) -> Figures:
     """Figures with those methods of others that they lack; what another track, judge or network judged is refused."""
-    if others.track.digest != figures.track.digest:
-        words = [f"track {one.name} {one.version}, judge {one.protocol}" for one in (others.track, figures.track)]
-        raise UserError("its inputs differ" if words[0] == words[1] else f"it is of {words[0]}, not of {words[1]}")
+    require_same_track(figures.track, others.track)
     metrics = others.metrics | figures.metrics
     both = [(name, metrics[name], others.metrics[name]) for name in figures.metrics if name in others.metrics]
     if strange := [name for name, one, other in both if (one.stand_in, one.weights) != (other.stand_in, other.weights)]:

@@ -140,7 +140,7 @@ def test_bad_images_are_failures_of_their_cells_alone(copy, capsys):
             assert cell.figures == {}
 
 
-def test_methods_that_were_judged_elsewhere_are_shown_beside_as_if_judged_together(copy, capsys):
+def test_methods_that_were_judged_elsewhere_are_shown_beside_as_if_judged_together(copy, capsys, monkeypatch):
     track, results = copy
     whole, alone, words = read(results), results.parent / "alone", ["--track", str(track), "--processes", "1"]
     shutil.copytree(results / "pasted", alone / "pasted")
@@ -161,6 +161,9 @@ def test_methods_that_were_judged_elsewhere_are_shown_beside_as_if_judged_togeth
         write_json(results / "figures.json", msgspec.to_builtins(msgspec.structs.replace(whole, **change)))
         with pytest.raises(UserError, match=f"cannot be shown beside {alone}: .*{message}"):
             main([str(alone), *words, "--beside", str(results / "figures.json")])
+    monkeypatch.setattr(judging.Judge, "__call__", lambda *args: pytest.fail("judged in vain"))
+    with pytest.raises(UserError, match="its inputs differ"):
+        main([str(alone), *words, "--beside", str(results / "figures.json")])
 
 
 def test_somebodys_folder_is_checked_without_judging(world, tmp_path, capsys):
