@@ -25,7 +25,8 @@ from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Cameras, Geometry, OnProgress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.fit_loop import FitLoop, FitOptions, FitResult
+from anystyle_captures.fit_loop import FitLoop, FitOptions, FitResult, InitialScene
+from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
 from anystyle_captures.stereo import plane_sweep
@@ -210,8 +211,9 @@ def fit_photographs(
         training = [view for view in range(len(images)) if view not in hidden]
         start = partial(_initial, images, cameras, points, masks, num_gaussians, options.seed)
         added = partial(start, range(len(images)), hidden)
-        first = start(training, training)
-        loop = FitLoop(images, cameras, first, renderer, options, heldout=hidden, initial_of_heldout=added, masks=masks)
+        loop = FitLoop(
+            images, cameras, start(training, training), renderer, options, heldout=hidden, of_heldout=added, masks=masks
+        )
         if state is None:
             return loop.run(on_progress).as_dict()
         _resume(loop, state, key, images.device)
@@ -258,7 +260,7 @@ def _initial(
     seed: int,
     seen: Sequence[int],
     lifted: Sequence[int],
-) -> InitialGaussians:
+) -> InitialScene:
     """Gaussians at pixels of the views ``lifted``, by stereo of the views ``seen``, on the device of the images."""
     height, width = images.shape[-2:]
     ratio = max(1.0, min(height, width) / STEREO_SIDE)
@@ -281,7 +283,8 @@ def _initial(
     pixels = torch.stack([torch.tensor(seen)[view], rows.long(), columns.long()], dim=1)
     initial = replace(initial, pixels=pixels, footprints=initial.footprints * size[1] / width)
     keep = torch.isin(pixels[:, 0], torch.tensor(lifted))
-    return initial.map(lambda tensor: tensor[keep]).to(images.device)
+    gaussians: InitialGaussians = initial.map(lambda tensor: tensor[keep])
+    return InitialScene(gaussians.to(images.device), FreeSpace.of(stereo, posed).to(images.device))
 
 
 @torch.no_grad()

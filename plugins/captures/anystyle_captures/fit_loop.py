@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,6 +15,7 @@ from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress, no_progress
+from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
@@ -41,6 +42,13 @@ PRUNE_EVERY = 200
 """Steps between removals of Gaussians."""
 NEAREST_EXPOSURES = 2
 """A held-out view takes the exposure of this many nearest training views."""
+
+
+class InitialScene(NamedTuple):
+    """What a fit begins with."""
+
+    gaussians: InitialGaussians
+    free_space: FreeSpace | None = None
 
 
 @dataclass(frozen=True)
@@ -138,15 +146,16 @@ class FitLoop:
         self,
         images: Float[Tensor, "V 3 H W"],
         cameras: Cameras,
-        initial: InitialGaussians,
+        start: InitialScene,
         renderer: Renderer,
         options: FitOptions,
         *,
         heldout: tuple[int, ...] = (),
-        initial_of_heldout: Callable[[], InitialGaussians] | None = None,
+        of_heldout: Callable[[], InitialScene] | None = None,
         masks: Masks | None = None,
     ) -> None:
-        self.initial_of_heldout, self.masks = initial_of_heldout, masks
+        initial, self.free_space = start
+        self.of_heldout, self.masks = of_heldout, masks
         # Photographs of which masks leave nothing teach nothing.
         self.useful = [view for view in range(len(images)) if masks is None or bool(masks.measured[view].any())]
         self.training = [view for view in self.useful if view not in heldout]
@@ -233,7 +242,14 @@ class FitLoop:
         index = (keep & (distance >= self.nearest)).nonzero()[:, 0]
         if len(index) < len(keep):
             self.splats.select(index)
+        self._clear()
         self._carve()
+
+    @torch.no_grad()
+    def _clear(self) -> None:
+        """Remove the Gaussians that lie where photographs see through: floaters, which other views would show."""
+        if self.free_space is not None:
+            self.splats.select((~self.free_space.contains(self.gaussians().means[0])).nonzero()[:, 0])
 
     @torch.no_grad()
     def _carve(self) -> None:
@@ -302,11 +318,12 @@ class FitLoop:
         with torch.no_grad():
             for view in self.heldout:
                 self.exposures.values[view] = self.exposures.of(view)
-        if self.initial_of_heldout is not None:
-            added = self.initial_of_heldout()
+        if self.of_heldout is not None:
+            added, self.free_space = self.of_heldout()
             new = _round_gaussians(added, self.options.degree)
             together = Gaussians.cat([self.gaussians().detach(), new], dim=1)
             self.splats = _parameters(together, torch.cat([self.splats.units, added.footprints]))
+            self._clear()
         self.training = self.useful
         self._carve()
         self.exposures.train(self.training)

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate, max_pool2d
 
 from anystyle.types import Cameras, Views
+from anystyle_captures.pixels import pixels_of
 
 COVERED = 0.1
 """Alpha of a photograph below which a pixel is empty."""
@@ -55,14 +56,8 @@ class Masks:
         empty, shown, inside = (torch.zeros_like(means[:, 0], dtype=torch.bool) for _ in range(3))
         # One pixel more than what is covered: cameras are not exact.
         covered = max_pool2d(self.alpha, 3, 1, 1) >= COVERED
-        height, width = cameras.size
         for view in range(len(self.alpha)):
-            motion = cameras.camera_from_world[0, view]
-            local = means @ motion[:3, :3].T + motion[:3, 3]
-            image = local @ cameras.intrinsics[0, view].T
-            column, row = (image[:, :2] / image[:, 2:].clamp_min(1e-12)).floor().long().unbind(1)
-            within = (local[:, 2] > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-            row, column = row.clamp(0, height - 1), column.clamp(0, width - 1)
+            row, column, _, within = pixels_of(means, cameras, view)
             counted = self.counted[view, row, column] & within
             inside |= within
             shown |= counted & covered[view, row, column]

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from anystyle_captures import fit_loop
-from anystyle_captures.fit_loop import Exposures, FitLoop, FitOptions
+from anystyle_captures.fit_loop import Exposures, FitLoop, FitOptions, InitialScene
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo, lift
 from anystyle_captures.stereo import StereoDepth
 from anystyle_cpu_renderer.renderer import CpuRenderer
@@ -32,7 +32,7 @@ def initial(photographs, views=(0, 1, 2, 4, 5, 6), num_gaussians=900):
 
 def fit(photographs, options, heldout=(3,)):
     images, cameras, _ = photographs
-    return FitLoop(images, cameras, initial(photographs), RENDERER, options, heldout=heldout)
+    return FitLoop(images, cameras, InitialScene(initial(photographs)), RENDERER, options, heldout=heldout)
 
 
 def test_lifted_pixels_lie_where_their_cameras_see_them(photographs):
@@ -112,7 +112,7 @@ def test_a_step_leaves_out_some_gaussians_and_the_others_stand_in(photographs):
         drawn.append(gaussians.opacities.detach())
         return RENDERER(gaussians, seen)
 
-    FitLoop(images, cameras, initial(photographs), renderer, FitOptions(dropout=0.2)).advance()
+    FitLoop(images, cameras, InitialScene(initial(photographs)), renderer, FitOptions(dropout=0.2)).advance()
     kept = drawn[-1] > 0
     assert abs(float(kept.float().mean()) - 0.8) < 0.05
     torch.testing.assert_close(drawn[-1], fit_loop.OPACITY / 0.8 * kept)
@@ -122,7 +122,7 @@ def test_what_shows_nothing_is_removed(photographs, monkeypatch):
     monkeypatch.setattr(fit_loop, "PRUNE_EVERY", 1)
     images, cameras, _ = photographs
     lifted = initial(photographs)
-    run = FitLoop(images, cameras, lifted, RENDERER, FitOptions(num_steps=50))
+    run = FitLoop(images, cameras, InitialScene(lifted), RENDERER, FitOptions(num_steps=50))
     with torch.no_grad():
         run.splats.parameters["opacities"][10:30] = -9.0
         run.splats.parameters["scales"][40] = 5.0
@@ -143,7 +143,11 @@ def test_a_view_that_looks_past_the_photographs_sees_no_hole(photographs):
     height, width = cameras.size
     assert ((rows % (height - 1) == 0) | (columns % (width - 1) == 0)).all(), "all depths are supported"
     run = FitLoop(
-        images, cameras, InitialGaussians.cat([initial(photographs), behind]), RENDERER, FitOptions(num_steps=60)
+        images,
+        cameras,
+        InitialScene(InitialGaussians.cat([initial(photographs), behind])),
+        RENDERER,
+        FitOptions(num_steps=60),
     )
     run.run()
     aside = torch.tensor([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])

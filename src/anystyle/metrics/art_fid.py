@@ -53,7 +53,7 @@ class ArtFID(NetworkMetric):
         self.size = FID_SIZE[variant]
         self.inception = embeddings.load_art_inception(weights)
         self.network = lpips.load("alex", weights)
-        self.name_after(self.network)
+        self.name_after(self.network.name)
         self.declare(self.inception.source, self.network.source, figures=["art_fid"])
         self.declare(self.inception.source, figures=["fid", "fid_infinity"])
         self.declare(self.network.source, figures=[self.network.name])

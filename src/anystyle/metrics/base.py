@@ -17,7 +17,6 @@ from anystyle.errors import UserError
 from anystyle.types import Comparison, Source
 from anystyle.types.network import checksums, stand_ins
 from anystyle.vision.feature_cache import batch_size
-from anystyle.vision.lpips import Lpips
 
 
 class Pairs(NamedTuple):
@@ -108,9 +107,9 @@ class NetworkMetric(Metric, ABC):
     def example(cls, folder: Path) -> dict[str, object]:
         return {"weights": "stand_in"}
 
-    def name_after(self, network: Lpips) -> None:
+    def name_after(self, distance: str) -> None:
         """Give figures called by LPIPS the name of the distance that replaces it, before any is declared."""
-        vars(self)["better"] = {name.replace("lpips", network.name): way for name, way in type(self).better.items()}
+        vars(self)["better"] = {name.replace("lpips", distance): way for name, way in type(self).better.items()}
 
     def declare(self, *sources: Source, figures: Iterable[str] = ()) -> None:
         """Record the weights that figures rest on; all figures if none is named."""

@@ -50,7 +50,7 @@ class LPIPS(NetworkMetric, RowMean):
         self.size = size
         self.rounded = variant == "reference"
         self.network = lpips.load(backbone, weights)
-        self.name_after(self.network)
+        self.name_after(self.network.name)
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
