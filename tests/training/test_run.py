@@ -60,8 +60,15 @@ def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):
     assert json.loads((out / "metrics.json").read_text())["train/loss"] == pytest.approx(outcome.metrics["train/loss"])
 
 
-def test_a_run_leaves_torch_as_it_was(uninterrupted):
-    assert not torch.are_deterministic_algorithms_enabled()
+def test_a_run_leaves_torch_as_it_was(tmp_path):
+    before = torch.are_deterministic_algorithms_enabled()
+    try:
+        for enabled in (False, True):
+            torch.use_deterministic_algorithms(enabled)
+            anystyle.train([*RECONSTRUCTION, "fast_dev_run=true"], tmp_path)
+            assert torch.are_deterministic_algorithms_enabled() == enabled
+    finally:
+        torch.use_deterministic_algorithms(before)
 
 
 def test_a_pipeline_is_not_one_training(tmp_path):

@@ -26,7 +26,7 @@ class FreeSpace(Value):
 
     Args:
         surfaces: Depths, not a number where no second view supports one.
-        cameras: Of the images that the depths were found in.
+        cameras: Those of the images that the depths were found in.
     """
 
     surfaces: Float[Tensor, "V H W"]

@@ -129,15 +129,14 @@ class Result:
         gaussians, encoded, results, options = self.gaussians, self.encoded, self.results, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
         scene, given = self.scene(), encoded.splat
-        formats = [name for name in options.formats if not self.alike or name not in results.common_formats]
+        own = [name for name in options.formats if not self.alike or name not in results.common_formats]
         # A trip through float32 logarithms and back moves the last bits.
         source = given if given is not None and given.suffix.lower() == ".ply" and self._only_colors else None
-        if source is not None and ply.recolor(source, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
-            formats = [name for name in formats if name != "ply"]
-        else:
-            formats = ["ply", *formats]
-        for name in dict.fromkeys(formats):
-            results.export_scene(scene, folder / f"scene.{name}", name)
+        if source is None or not ply.recolor(source, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
+            export_styles(scene, folder / "scene.ply", "ply", up=options.up)
+        for name in dict.fromkeys(own):
+            if name != "ply":
+                results.export_scene(scene, folder / f"scene.{name}", name)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         names, followed = encoded.targets or (encoded.names, self.cameras)
@@ -227,7 +226,7 @@ class Results:
         self.check_written(Path(folder), temporary)
 
     def export_scene(self, scene: StyledScene, path: Path, name: str) -> None:
-        """Write a scene as a file of a format, or note that the format cannot: results are whole without it."""
+        """Write a scene as a file of a format, or note that the format cannot: a result is whole without it."""
         try:
             export_styles(scene, path, name, up=self.export.up)
         except OSError:  # no room is left, for other files neither
