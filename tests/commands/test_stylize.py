@@ -144,20 +144,31 @@ def test_what_a_format_cannot_write_is_told_and_all_else_is_kept(photographs, tm
     def refuse(self, scene, path):
         raise UserError("no room for it")
 
-    def broken(self, scene, path):
-        raise IndexError("of a plugin")
+    def lacking(self, scene, path):
+        raise ImportError("an extra is missing")
 
     monkeypatch.setattr(Html, "write", refuse)
-    monkeypatch.setattr(Splat, "write", broken)
+    monkeypatch.setattr(Splat, "write", lacking)
     texts = ("--text", "dots", "--text", "stripes")[: 2 * count]
     line = fails(capsys, photographs, *texts, "--export", "html,splat,glb", "--out", tmp_path / "out", *SMALL)
     out, folders = tmp_path / "out", [""] if count == 1 else ["01-dots/", "02-stripes/"]
-    missing = [f"{folder}scene.splat: of a plugin" for folder in folders]
+    missing = [f"{folder}scene.splat: an extra is missing" for folder in folders]
     assert all(f" {part}; " in line for part in (*missing, "scene.html: no room for it"))
     assert line.endswith(f"not written, and all else is in {out}")
     names = {str(path.relative_to(out)) for path in out.rglob("scene.*")}
     assert names == {"scene.glb", *(f"{folder}scene.{kind}" for folder in folders for kind in ("ply", "safetensors"))}
     assert (out / "report.json").is_file() and (out / "sheet.png").is_file()
+
+
+def test_a_bug_of_a_format_shows_its_traceback_when_all_else_is_written(photographs, tmp_path, monkeypatch):
+    def broken(self, scene, path):
+        raise IndexError("of a plugin")
+
+    monkeypatch.setattr(Splat, "write", broken)
+    with pytest.raises(IndexError, match="of a plugin") as caught:
+        run(photographs, "--text", "dots", "--export", "splat", "--out", tmp_path / "out", *SMALL)
+    assert any(note.endswith(f"all else is in {tmp_path / 'out'}") for note in caught.value.__notes__)
+    assert (tmp_path / "out" / "scene.ply").is_file() and (tmp_path / "out" / "report.json").is_file()
 
 
 def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_bytes(

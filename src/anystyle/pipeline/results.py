@@ -129,14 +129,14 @@ class Result:
         gaussians, encoded, results, options = self.gaussians, self.encoded, self.results, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
         scene, given = self.scene(), encoded.splat
-        own = [name for name in options.formats if not self.alike or name not in results.common_formats]
+        written = ("ply", *(results.common_formats if self.alike else ()))
+        own = [name for name in dict.fromkeys(options.formats) if name not in written]
         # A trip through float32 logarithms and back moves the last bits.
         source = given if given is not None and given.suffix.lower() == ".ply" and self._only_colors else None
         if source is None or not ply.recolor(source, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
             export_styles(scene, folder / "scene.ply", "ply", up=options.up)
-        for name in dict.fromkeys(own):
-            if name != "ply":
-                results.export_scene(scene, folder / f"scene.{name}", name)
+        for name in own:
+            results.export_scene(scene, folder / f"scene.{name}", name)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         names, followed = encoded.targets or (encoded.names, self.cameras)
@@ -195,8 +195,10 @@ class Results:
         self.video = film(request.config.video, self._render_until_given_up)
         self.given_up = False
         """Whether a film that is being written in a thread will not be needed."""
-        self.failed: list[tuple[Path, Exception]] = []
+        self.failed: list[tuple[Path, str]] = []
         """Files that formats could not write, and why; all others are written."""
+        self.bug: Exception | None = None
+        """The first of these errors that no format should raise."""
 
     def _render_until_given_up(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         if self.given_up:
@@ -231,15 +233,22 @@ class Results:
             export_styles(scene, path, name, up=self.export.up)
         except OSError:  # no room is left, for other files neither
             raise
-        except Exception as error:
-            self.failed.append((path, error))
+        except Exception as error:  # a bug of a plugin is raised in the end: hours of work may lie behind the results
+            # As text: a traceback would keep the Gaussians of every style in memory.
+            self.failed.append((path, one_line(error)))
+            if self.bug is None and not isinstance(error, (UserError, ImportError)):
+                self.bug = error
 
     def check_written(self, folder: Path, temporary: Path) -> None:
-        """Raise a UserError if formats could not write files of a folder, in which results were written as another."""
-        failed, self.failed = self.failed, []
+        """Raise what formats could not write of a folder, once ``temporary``: a UserError, or the bug of one."""
+        failed, bug, self.failed, self.bug = self.failed, self.bug, [], None
         if failed:
-            lines = "; ".join(f"{path.relative_to(temporary)}: {one_line(error)}" for path, error in failed)
-            raise UserError(f"{lines}; not written, and all else is in {folder}") from failed[0][1]
+            lines = "; ".join(f"{path.relative_to(temporary)}: {reason}" for path, reason in failed)
+            told = f"{lines}; not written, and all else is in {folder}"
+            if bug is None:
+                raise UserError(told)
+            bug.add_note(told)
+            raise bug
 
     def write(self, folder: Path) -> None:
         """Write all results into a folder that has none of their files."""

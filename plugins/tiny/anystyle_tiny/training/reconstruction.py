@@ -238,7 +238,9 @@ def geometry_errors(geometry: Geometry, views: Views) -> dict[str, Float[Tensor,
     assert views.cameras is not None and views.depth is not None
     known = views.depth > 0
     ratio = torch.where(known, views.depth / geometry.depth.clamp_min(1e-6), torch.nan)
-    scale = ratio.flatten(1).nanmedian(dim=1).values[:, None, None, None]
+    # The lower median of known pixels, as torch.nanmedian's, which has no deterministic kernel for CUDA.
+    middle = (known.flatten(1).sum(1) - 1).clamp_min(0) // 2
+    scale = ratio.flatten(1).sort(1).values.gather(1, middle[:, None])[..., None, None]
     relative = ((geometry.depth * scale - views.depth).abs() / views.depth.clamp_min(1e-6))[known].mean()
     predicted = geometry.cameras.camera_from_world[:, :1] @ geometry.cameras.world_from_camera[:, 1:]
     true = views.cameras.camera_from_world[:, :1] @ views.cameras.world_from_camera[:, 1:]
