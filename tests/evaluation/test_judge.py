@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from anystyle.evaluation.comparisons import Reader
-from anystyle.evaluation.judge import judge, judge_pairing, mean
+from anystyle.evaluation.judge import judge, judge_pairing, judge_scene, mean
 from anystyle.evaluation.pairing import Pairing, pair
 from anystyle.testing.inputs import comparison
 from anystyle.testing.toy.metric import ToyMetric
@@ -54,6 +54,24 @@ def test_warnings_of_metrics_are_kept_once_and_not_those_of_rows():
     rows = [row_of(given, row) for row in range(2)]
     found = judge({"loud": Loud()}, [rows[0], row_of(given, 0, style="other")])
     assert found.provenance["warnings"] == ["a row's own warning", "2 values are few"]
+
+
+@pytest.mark.parametrize("at", [1, 2])
+def test_a_metric_that_raises_takes_no_figures_of_the_others(at):
+    class Fragile(Mean):
+        def update(self, given):
+            super().update(given)
+            if len(self.seen) == at:
+                raise ValueError("too small")
+
+    rows = [row_of(comparison(1, 2), 0, style=style) for style in ("one", "other")]
+    failed = []
+    metrics = {"fragile": Fragile(), "mean": Mean()}
+    found = judge_scene(metrics, rows, lambda name, error: failed.append((name, str(error))))
+    assert found == judge_scene({"mean": Mean()}, rows)
+    assert failed == [("fragile", "too small")]
+    with pytest.raises(ValueError, match="too small"):
+        judge_scene({"fragile": Fragile(), "mean": Mean()}, rows)
 
 
 def row_of(given: Comparison, row: int, style: str = "style") -> Comparison:

@@ -209,22 +209,19 @@ class Judge:
     def _new(
         self, names: Sequence[str], unit: Unit, styles: Sequence[str], lines: list[str]
     ) -> dict[str, loop.SceneFigures]:
-        """The metric loop; if a metric raises, halves of them are tried, until those that raise are left out and told.
+        """The metric loop; metrics that raise are left out and told."""
+        scene = self.inputs.scene(unit.scene)
+        why = "" if scene.geometry else " (the track has no geometry of this scene)"
 
-        What the others read and compute is shared, as far as they stay together.
-        """
+        def on_error(name: str, error: Exception) -> None:
+            lines.append(f"{name} has no figures in {scene.name}: {one_line(error)}{why}")
+
         torch.manual_seed(0)
         try:
             metrics = {name: self.metrics[name] for name in names}
-            return loop.judge_scene(metrics, self._comparisons(unit, styles)) if metrics else {}
-        except (UserError, ValueError) as error:
-            if len(names) > 1:
-                halves = names[: len(names) // 2], names[len(names) // 2 :]
-                first, second = (self._new(half, unit, styles, lines) for half in halves)
-                return first | second
-            text = f"{names[0]} has no figures in {unit.scene}: {one_line(error)}"
-            text += "" if self.inputs.scene(unit.scene).geometry else " (the track has no geometry of this scene)"
-            lines.append(text)
+            return loop.judge_scene(metrics, self._comparisons(unit, styles), on_error) if metrics else {}
+        except UserError as error:  # of files that cannot be compared
+            lines.append(f"{unit.method} has no figures in {scene.name}: {one_line(error)}")
             return {}
 
     def _comparisons(self, unit: Unit, styles: Sequence[str]) -> Iterator[Comparison]:

@@ -80,10 +80,10 @@ def test_two_runs_are_equal_to_the_last_byte_and_only_what_changed_is_judged(cop
     before = (results / "figures.json").read_bytes()
     seen = []
 
-    def counted(metrics, comparisons):
+    def counted(metrics, comparisons, on_error):
         rows = list(comparisons)
         seen.append((rows[0].scenes[0], [row.styles[0] for row in rows], sorted(metrics)))
-        return original(metrics, rows)
+        return original(metrics, rows, on_error)
 
     original = judging.loop.judge_scene
     monkeypatch.setattr(judging.loop, "judge_scene", counted)

@@ -3,7 +3,7 @@
 import logging
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain, count
@@ -89,11 +89,22 @@ def judge_pairing(
 
 
 @torch.no_grad()
-def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> dict[str, SceneFigures]:
+def judge_scene(
+    metrics: Mapping[str, Metric],
+    comparisons: Iterable[Comparison],
+    on_error: Callable[[str, Exception], None] | None = None,
+) -> dict[str, SceneFigures]:
     """The figures of each metric for a scene, given in one style each.
 
     A metric is updated once with each comparison; the scene's figures are computed from the merged states.
+
+    Args:
+        metrics: By name; they are reset.
+        comparisons: Each of this scene in one style, with the style's name.
+        on_error: Called with the name of a metric whose update raises, and the error; the metric has no figures then,
+            and the others have theirs. If not given, the error is raised.
     """
+    metrics = dict(metrics)
     # `Metric.forward` mixes the warnings of `update` with those of a style's figures, copies all states each time and
     # enables gradients.
     styles: dict[str, dict[str, dict[str, float]]] = {name: {} for name in metrics}
@@ -101,11 +112,18 @@ def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]
     states: dict[str, dict[str, Any]] = {}
     for index, comparison in enumerate(comparisons):
         style = comparison.styles[0] if comparison.styles else f"{index:02d}"
-        for name, metric in metrics.items():
+        for name, metric in [*metrics.items()]:
             metric.compute_with_cache = False  # a style's figure must not be returned for the scene
             metric.reset()
-            with _recorded_warnings(warned[name], name):
-                metric.update(comparison.to(metric.device))
+            try:
+                with _recorded_warnings(warned[name], name):
+                    metric.update(comparison.to(metric.device))
+            except (UserError, ValueError) as error:
+                if on_error is None:
+                    raise
+                on_error(name, error)
+                del metrics[name]
+                continue
             with warnings.catch_warnings(action="ignore"):
                 # Too few images matter for the scene alone, which warns below.
                 styles[name][style] = _compute(metric)
