@@ -10,9 +10,9 @@ import torch
 from torch import nn
 
 from anystyle import contracts
+from anystyle.contracts import Published
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn.attention import Block
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner

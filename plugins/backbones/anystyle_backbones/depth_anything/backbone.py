@@ -10,11 +10,11 @@ import torch
 from torch import nn
 
 from anystyle import contracts
+from anystyle.contracts import Published
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn.attention import Block
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner

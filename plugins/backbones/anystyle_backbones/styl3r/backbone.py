@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from anystyle import contracts
+from anystyle.contracts import Published
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive, Range
 from anystyle_backbones.anysplat.adapter import Adapter
 from anystyle_backbones.dpt import Dpt, DptTrunkOptions

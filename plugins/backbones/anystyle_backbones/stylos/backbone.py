@@ -7,9 +7,8 @@ from typing import ClassVar
 
 from torch import nn
 
-from anystyle.contracts import StylePredictor
+from anystyle.contracts import Published, StylePredictor
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones.anysplat.backbone import AnySplat
 from anystyle_backbones.anysplat.transformer import Aggregator

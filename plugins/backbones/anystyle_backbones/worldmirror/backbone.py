@@ -10,8 +10,8 @@ import torch
 from torch import nn
 
 from anystyle import contracts
+from anystyle.contracts import Published
 from anystyle.nn.attention import Block
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.anysplat.backbone import start_geometry
