@@ -1,5 +1,6 @@
 """The contract of a backbone and of its five parts."""
 
+import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, final
@@ -138,8 +139,17 @@ class Backbone(Pluggable, nn.Module, ABC):
     frozen: bool = False
     sources: tuple[Source, ...] = ()
     """The published weights that the constructor filled it with, where it does."""
-    published: ClassVar[Published | None] = None
-    """How checkpoints in the original layout load, where there are any."""
+    published: ClassVar[Published | str | None] = None
+    """How checkpoints in the original layout load, where there are any; ``module:Class`` is imported for the first."""
+
+    @final
+    @classmethod
+    def checkpoints(cls) -> Published | None:
+        """What :attr:`published` is, or names."""
+        if not isinstance(cls.published, str):
+            return cls.published
+        module, _, name = cls.published.partition(":")
+        return getattr(importlib.import_module(module), name)()
 
     @property
     @final
@@ -176,9 +186,9 @@ class Backbone(Pluggable, nn.Module, ABC):
         Raises:
             UserError: They do not fit, or no published weights of this network are known.
         """
-        if self.published is None:
+        if (published := self.checkpoints()) is None:
             raise UserError(f"no published weights of a {type(self).__name__} are known")
-        self.published.load("backbone", self, state)
+        published.load("backbone", self, state)
 
     @final
     def freeze(self) -> "Backbone":

@@ -94,7 +94,7 @@ def published_by(config: DictConfig) -> Published:
     """How checkpoints of the configured backbone load that others published."""
     plugin = catalog().owner("backbone", config.backbone._target_)
     backbone = plugin.load()
-    published = backbone.published if issubclass(backbone, Backbone) else None
+    published = backbone.checkpoints() if issubclass(backbone, Backbone) else None
     if published is None:
         raise UserError(
             f"no published checkpoints of backbone={plugin.name} are known; give a file that anystyle wrote, or null"
