@@ -13,6 +13,7 @@ from anystyle.contracts import protocol, training
         ("evaluation.base", "required", protocol.required),
         ("methods.base", "Method", contracts.Method),
         ("pipeline.poses", "Verdict", contracts.Verdict),
+        ("published", "Published", contracts.Published),
         ("registry.socket", "Command", contracts.Command),
         ("registry.socket", "Socket", contracts.Pluggable),
         ("training.base", "required", training.required),

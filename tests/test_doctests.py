@@ -22,7 +22,7 @@ MODULES = (
     "anystyle.registry.catalog",
     "anystyle.testing.oracle",
     "anystyle.types.network",
-    "anystyle.vision.weights.licenses",
+    "anystyle.vision.weights.table",
     "anystyle_tiny.losses",
 )
 SHARED = {

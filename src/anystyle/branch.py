@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Injector, StylePredictor, style_tokens
-from anystyle.geometry.texturing import single_view_colors
-from anystyle.types import Attributes, Scene, Site, Source, StyleEmbedding, Tokens, contiguous
+from anystyle.types import Attributes, Cameras, Scene, Site, Source, StyleEmbedding, Tokens, contiguous
 
 ATTRIBUTES = ("opacity", "scale", "rotation", "color")
 COLOR = "color"
@@ -41,7 +41,7 @@ class StyleBranch(StylePredictor):
             rotation and colour, its ablation "all geometry" all four.
         sh_degree: Degree of the styled colours; the published weights use the constant coefficient alone.
         single_view: Each surface point takes its styled colour from one view, so that strokes that were painted view
-            by view do not average out; see :func:`anystyle.geometry.texturing.single_view_colors`. For injectors that
+            by view do not average out; see :func:`single_view_colors`. For injectors that
             paint pictures: with it even a style that changes nothing repaints the scene.
     """
 
@@ -122,3 +122,46 @@ def _single_view(scene: Scene, color: Float[Tensor, "B V H W 3 K"]) -> Float[Ten
     points = points.view(*color.shape[:4], 3)
     with torch.autocast(color.device.type, enabled=False):  # positions need all their bits
         return single_view_colors(color.flatten(4), points, scene.cameras).view_as(color)
+
+
+def single_view_colors(
+    color: Float[Tensor, "B V H W C"], points: Float[Tensor, "B V H W 3"], cameras: Cameras, tolerance: float = 0.15
+) -> Float[Tensor, "B V H W C"]:
+    """Repaint points by the first view that sees them, so that views which were painted one by one agree.
+
+    As surfaces are textured from photographs (Lempitsky and Ivanov, CVPR 2007), but with few and large patches: views
+    come in the order of their distance from the origin of the scene's frame, where bundled backbones place the view
+    that differs least from all others. Colours are interpolated bicubically and differentiable; the choice of views is
+    constant. A view sees a point whose distance along z is within the ``tolerance`` of that of the pixel it falls on;
+    points that no view sees keep their colours.
+    """
+    rows = zip(color, points, cameras.world_from_camera, cameras.intrinsics, strict=True)
+    return torch.stack([_repainted(*row, tolerance) for row in rows])
+
+
+def _repainted(
+    color: Float[Tensor, "V H W C"],
+    points: Float[Tensor, "V H W 3"],
+    world_from_camera: Float[Tensor, "V 4 4"],
+    intrinsics: Float[Tensor, "V 3 3"],
+    tolerance: float,
+) -> Float[Tensor, "V H W C"]:
+    height, width = color.shape[1:3]
+    limit = points.new_tensor([width, height])
+    flat, painted = points.detach().flatten(0, 2), color.flatten(0, 2).clone()
+    left = torch.arange(len(flat), device=flat.device)
+    for view in world_from_camera[:, :3, 3].norm(dim=-1).argsort().tolist():
+        rotation, origin = world_from_camera[view, :3, :3], world_from_camera[view, :3, 3]
+        depth = (points[view].detach() - origin) @ rotation[:, 2]  # H W
+        in_camera = (flat[left] - origin) @ rotation
+        z = in_camera[:, 2]
+        xy = (in_camera @ intrinsics[view].mT)[:, :2] / z.clamp_min(1e-8)[:, None]
+        inside = ((xy >= 0) & (xy < limit)).all(1) & (z > 0)
+        column, row = torch.where(inside[:, None], xy, 0).long().unbind(1)
+        expected = depth[row, column]
+        seen = inside & ((z - expected).abs() <= tolerance * expected)
+        grid, picture = (2 * xy[seen] / limit - 1)[None, None], color[view].movedim(-1, 0)[None].to(xy.dtype)
+        sampled = F.grid_sample(picture, grid, mode="bicubic", padding_mode="border", align_corners=False)
+        painted[left[seen]] = sampled[0, :, 0].mT.to(color.dtype)
+        left = left[~seen]
+    return painted.view_as(color)

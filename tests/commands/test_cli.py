@@ -230,7 +230,7 @@ def test_help_and_configuration(command):
     for words in (["--cfg", "job", "placement=full"], ["placement=full", "--cfg", "job", "seed=3"]):
         status, out, _ = command(*words)
         assert status == 0
-        assert OmegaConf.create(out).placement._target_ == "anystyle.placements.full.Full"
+        assert OmegaConf.create(out).placement._target_ == "anystyle.placements.Full"
 
 
 def test_multirun_runs_every_combination(command):

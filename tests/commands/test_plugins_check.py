@@ -130,7 +130,7 @@ def test_nothing_is_checked_after_what_is_needed(reports):
 def test_a_good_plugin_ends_with_0(capsys):
     assert plugins_check.main(["placement", "head"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "placement 'head' (anystyle.placements.head:Head, declared by anystyle)"
+    assert lines[0] == "placement 'head' (anystyle.placements:Head, declared by anystyle)"
     assert all(line.startswith("ok       ") for line in lines[1:-1])
     assert lines[-1].startswith(f"{len(lines) - 2} promises kept, in ")
 

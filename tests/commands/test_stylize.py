@@ -14,7 +14,7 @@ from plyfile import PlyData
 from anystyle.commands import stylize
 from anystyle.commands.export import export, parser
 from anystyle.errors import UserError
-from anystyle.formats.ply import Ply
+from anystyle.formats import Ply
 from anystyle.io.atomic import folder_lock
 from anystyle.io.video import write_video
 from anystyle.pipeline.saved import read_saved

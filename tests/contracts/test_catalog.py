@@ -9,8 +9,7 @@ import pytest
 from anystyle.branch import StyleBranch
 from anystyle.errors import UserError
 from anystyle.io.checkpoint import load_strictly
-from anystyle.placements.full import Full
-from anystyle.placements.head import Head
+from anystyle.placements import Full, Head
 from anystyle.registry.catalog import base_of, catalog, kinds
 from anystyle.testing import assert_contract, composition, subject
 from anystyle.testing.composition import Composition

@@ -3,7 +3,7 @@
 import pytest
 from jaxtyping import TypeCheckError
 
-from anystyle.placements.full import Full
+from anystyle.placements import Full
 from anystyle.registry.catalog import kinds
 from anystyle.testing import composition, subject
 from anystyle.testing.composition import Composition

@@ -76,7 +76,7 @@ def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     lines, better = report.lines_of(runs.find(tmp_path))
     assert [line.title for line in lines] == ["base", "no_text"]
     low, high = stats.t.interval(0.95, 2, loc=np.mean(values["base"]), scale=stats.sem(values["base"]))
-    assert report.half_width(values["base"]) == pytest.approx((high - low) / 2)
+    assert lines[0].half_width(("", "art_fid")) == pytest.approx((high - low) / 2)
     made = report.table(lines, [("", "art_fid")], better)
     assert made.rows[0][2] == f"12.17 ± {(high - low) / 2:.4g}"
     assert "3 seeds" in report.state_notes(lines)[-1]

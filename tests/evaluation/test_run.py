@@ -3,11 +3,14 @@
 import math
 
 import pytest
+import torch
 
 import anystyle
 from anystyle.cli.progress import progress_lines
 from anystyle.errors import UserError
 from anystyle.evaluation import record
+from anystyle.evaluation.run import make_metrics
+from anystyle.registry.compose import compose
 from anystyle.types import Progress
 from tests.support.evaluation_cases import folders
 
@@ -30,6 +33,21 @@ def test_images_in_folders_are_judged_from_python(tmp_path, monkeypatch):
         anystyle.evaluate(given, content=named["content"], style=named["style"])
     with pytest.raises(UserError, match="there is no run"):
         anystyle.evaluate(trained=tmp_path / "absent")
+
+
+@pytest.mark.parametrize(
+    ("metric", "chosen", "expected"),
+    [
+        ("psnr", [], None),
+        ("warp_consistency", [], "Raft"),
+        ("warp_consistency", ["correspondence=rendered_depth"], "RenderedDepth"),
+    ],
+)
+def test_a_metric_that_follows_pixels_takes_the_default_or_what_is_chosen(metric, chosen, expected):
+    config = compose("evaluate", ["subject=images", "protocol=folders", f"metric=[{metric}]", *chosen])
+    make_metrics(config, None, torch.device("cpu"))
+    correspondence = config.get("correspondence")
+    assert (correspondence and correspondence._target_.rpartition(".")[2]) == expected
 
 
 def test_each_stage_has_a_first_and_a_last_line(capsys):

@@ -11,7 +11,7 @@ from plyfile import PlyData
 
 from anystyle.contracts import Format
 from anystyle.errors import UserError
-from anystyle.formats.ply import comments
+from anystyle.formats import comments
 from anystyle.io import ply
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.saved import read_saved

@@ -120,11 +120,11 @@ def _installed(monkeypatch: pytest.MonkeyPatch, *points: tuple[str, str, str, st
 def test_installed_packages(monkeypatch):
     _installed(
         monkeypatch,
-        ("acme-placements", "anystyle.placement", "acme", "anystyle.placements.head:Head [extra]"),
+        ("acme-placements", "anystyle.placement", "acme", "anystyle.placements:Head [extra]"),
         ("other", "console_scripts", "acme", "x:y"),
     )
     row = catalog().find("placement", "acme")
-    assert (row.origin, row.target) == ("acme-placements 1.2", "anystyle.placements.head:Head")
+    assert (row.origin, row.target) == ("acme-placements 1.2", "anystyle.placements:Head")
     assert row.load().__name__ == "Head"
 
 
@@ -142,11 +142,11 @@ def test_folder_that_is_installed_too_is_one_plugin(monkeypatch, plugin_folder):
 
 
 def test_owner_is_the_whitelist():
-    assert catalog().owner("placement", "anystyle.placements.head.Head").name == "head"
+    assert catalog().owner("placement", "anystyle.placements.Head").name == "head"
     with pytest.raises(PluginError, match=r"_target_ 'os.system' is not a plugin; a config may build only"):
         catalog().owner("placement", "os.system")
     with pytest.raises(PluginError, match=r"is a placement, and a renderer is expected"):
-        catalog().owner("renderer", "anystyle.placements.head.Head")
+        catalog().owner("renderer", "anystyle.placements.Head")
 
 
 def test_decorator_for_notebooks(monkeypatch):

@@ -288,11 +288,11 @@ def test_runtime_arguments(plugin_folder):
 
 
 def test_a_configuration_builds_only_what_the_catalog_lists():
-    for target in ("os.system", "subprocess.Popen", "anystyle.placements.head.os", None):
+    for target in ("os.system", "subprocess.Popen", "anystyle.placements.os", None):
         with pytest.raises(PluginError, match="is not a plugin"):
             build(Placement, {"_target_": target})
     with pytest.raises(PluginError, match="is a placement, and a renderer is expected"):
-        build(Renderer, {"_target_": "anystyle.placements.head.Head"})
+        build(Renderer, {"_target_": "anystyle.placements.Head"})
     with pytest.raises(PluginError, match="is not the contract of any kind"):
         build(int, {"_target_": "builtins.int"})
 

@@ -72,7 +72,7 @@ def test_defaults_and_overrides(composed):
     config = composed("placement.depth=3", "placement.attention=math")
     built = build(Placement, config.placement)
     assert (built.depth, built.attention) == (3, "math")
-    assert composed("placement=head").placement._target_ == "anystyle.placements.head.Head"
+    assert composed("placement=head").placement._target_ == "anystyle.placements.Head"
     assert build(Placement, composed("placement=deeper", "placement.attention=math").placement).depth == 9
 
 
@@ -112,7 +112,7 @@ def test_broken_plugin_is_told_when_chosen(composed, plugin_folder):
     ("saved", "message"),
     [
         ({"branch": {"_target_": "os.system"}}, r"file: branch\._target_ is 'os\.system', which is not a registered"),
-        ({"placement": {"_target_": "anystyle.placements.aggregator.AggregatorX"}}, "not a registered plugin"),
+        ({"placement": {"_target_": "anystyle.placements.AggregatorX"}}, "not a registered plugin"),
         ({"branch": [{"sh_degree": "${oc.env:HOME}"}]}, r"file: branch\.0\.sh_degree is .* no interpolations"),
     ],
 )
@@ -127,6 +127,7 @@ def test_a_saved_configuration_is_checked_before_anything_is_built(saved, messag
     [
         ("backbone", "anysplat", "anystyle_anysplat.AnySplat"),
         ("placement", "aggregator", "anystyle.placements.aggregator.Aggregator"),
+        ("placement", "head", "anystyle.placements.head.Head"),
     ],
 )
 def test_a_saved_configuration_names_classes_that_have_moved_by_their_present_paths(kind, name, before):

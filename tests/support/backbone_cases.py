@@ -8,10 +8,7 @@ import torch
 from anystyle.branch import COLOR, StyleBranch, sites_of
 from anystyle.contracts import Backbone
 from anystyle.injectors.zero_conv import ZeroConv
-from anystyle.placements.aggregator import AggregatorPlacement
-from anystyle.placements.color import Color
-from anystyle.placements.full import Full
-from anystyle.placements.head import Head
+from anystyle.placements import AggregatorPlacement, Color, Full, Head
 from anystyle.registry.catalog import catalog
 from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.types import Scene, StyleEmbedding, Views

@@ -19,7 +19,6 @@ from anystyle.pipeline.load import default_device
 from anystyle.ranges import Positive, Range
 from anystyle.registry.build import build
 from anystyle.types import StyledScene
-from anystyle_film.keyframes import Keyframes
 from anystyle_film.metadata import mark_video, save_still
 from anystyle_film.paths import CameraPath, FilmedScene, orbit, smooth, spiral
 from anystyle_film.projection import Projection
@@ -72,8 +71,7 @@ class Mp4(Format):
         self.projection = replace(PROJECTIONS[kind], baseline=baseline)
         if baseline is not None and not self.projection.stereo:
             raise UserError(f"video.baseline={baseline:g} has no meaning with video.kind={kind}; leave it out")
-        self.path = _path(path, turns)
-        seconds = self.path.seconds if isinstance(self.path, Keyframes) else None
+        self.path, seconds = _path(path, turns)
         duration = None if seconds is None else max(2, round(seconds * fps) + 1)
         if duration is not None and duration > MAX_FRAMES:
             raise UserError(f"{path}: {duration} frames at video.fps={fps}; a film has at most {MAX_FRAMES}")
@@ -113,16 +111,21 @@ class Mp4(Format):
             yield self.projection.frame(torch.stack(images), size)
 
 
-def _path(path: str, turns: float | None) -> CameraPath:
+def _path(path: str, turns: float | None) -> tuple[CameraPath, float | None]:
+    """A path, and how many seconds it takes where it says so."""
     if path in ("orbit", "spiral"):
         turns = turns if turns is not None else 1.0 if path == "orbit" else 2.0
         if turns == 0:
             raise UserError("video.turns=0; give turns of at most 100 either way, and not 0")
-        return partial(orbit if path == "orbit" else spiral, turns=turns)
+        return partial(orbit if path == "orbit" else spiral, turns=turns), None
     if path != "smooth" and Path(path).suffix.lower() != ".json":
         near = did_you_mean(path, PATHS)
         raise UserError(f"video.path={path}; give {', '.join(PATHS)} or a .json file of keyframes.{near}")
-    found = smooth if path == "smooth" else Keyframes(path)
     if turns is not None:
         raise UserError(f"video.turns={turns:g} has no meaning with video.path={path}; leave it out")
-    return found
+    if path == "smooth":
+        return smooth, None
+    from anystyle_film.keyframes import Keyframes
+
+    keyframes = Keyframes(path)
+    return keyframes, keyframes.seconds

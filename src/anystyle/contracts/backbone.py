@@ -1,5 +1,6 @@
 """The contract of a backbone and of its five parts."""
 
+import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, final
@@ -9,7 +10,6 @@ from torch import Tensor, nn
 
 from anystyle.contracts.style import StylePredictor
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle.registry.pluggable import Pluggable
 from anystyle.types import (
     Attributes,
@@ -91,6 +91,37 @@ class Adapter(nn.Module, ABC):
         """Activate and fuse. Differentiable in ``attributes``; linear work only in the number of Gaussians."""
 
 
+class Published(ABC):
+    """Recognises a backbone's published checkpoints, says what they need, and loads them.
+
+    State dicts have their publishers' names, with or without the prefixes of their file. Every method raises a
+    :class:`~anystyle.errors.UserError` where the checkpoint is of another network.
+    """
+
+    @abstractmethod
+    def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
+        """What the checkpoint fixes of a configuration, as far as its shapes show it.
+
+        Keys are those of overrides: ``backbone.dim``, and for a checkpoint with a style branch ``placement`` and
+        all other options that the branch was trained with.
+        """
+
+    @abstractmethod
+    def parts(self, state: Mapping[str, Tensor]) -> dict[str, bool]:
+        """The parts it has weights of (``backbone``, ``style_encoder``, ``branch``), and whether it has all of them.
+
+        A checkpoint that initialises part of a backbone, or adds to the weights of a style encoder, has not all.
+        """
+
+    @abstractmethod
+    def load(self, part: str, module: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load one part, strictly; a module on the meta device takes the tensors themselves.
+
+        A file that is named as ``weights.branch`` is loaded into the branch and, for what the branch was trained with,
+        into the style encoder.
+        """
+
+
 class Backbone(Pluggable, nn.Module, ABC):
     """A feed-forward reconstruction network in five parts.
 
@@ -108,8 +139,17 @@ class Backbone(Pluggable, nn.Module, ABC):
     frozen: bool = False
     sources: tuple[Source, ...] = ()
     """The published weights that the constructor filled it with, where it does."""
-    published: ClassVar[Published | None] = None
-    """How checkpoints in the original layout load, where there are any."""
+    published: ClassVar[Published | str | None] = None
+    """How checkpoints in the original layout load, where there are any; ``module:Class`` is imported for the first."""
+
+    @final
+    @classmethod
+    def checkpoints(cls) -> Published | None:
+        """What :attr:`published` is, or names."""
+        if not isinstance(cls.published, str):
+            return cls.published
+        module, _, name = cls.published.partition(":")
+        return getattr(importlib.import_module(module), name)()
 
     @property
     @final
@@ -146,9 +186,9 @@ class Backbone(Pluggable, nn.Module, ABC):
         Raises:
             UserError: They do not fit, or no published weights of this network are known.
         """
-        if self.published is None:
+        if (published := self.checkpoints()) is None:
             raise UserError(f"no published weights of a {type(self).__name__} are known")
-        self.published.load("backbone", self, state)
+        published.load("backbone", self, state)
 
     @final
     def freeze(self) -> "Backbone":

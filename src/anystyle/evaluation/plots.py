@@ -3,14 +3,16 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.data.images import open_image
-from anystyle.evaluation.run_table import ColumnKey, Line, half_width
 from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
+
+if TYPE_CHECKING:  # an evaluation has no runs
+    from anystyle.evaluation.run_table import ColumnKey, Line
 
 COLORS = {"ours": "#2f5d8a", "stand-in": "#c0862b", "published": "#8a8a92"}
 _INK, _RULE = "#1c1c1e", "#dcdce2"
@@ -76,7 +78,7 @@ def examples(evaluation: Evaluation, path: Path) -> None:
         sheet.save(temporary)
 
 
-def bars(lines: Sequence[Line], columns: Sequence[ColumnKey], better: Mapping[str, str], path: Path) -> bool:
+def bars(lines: Sequence["Line"], columns: Sequence["ColumnKey"], better: Mapping[str, str], path: Path) -> bool:
     """Draw a panel for each figure, in it a bar for each variant or published method; ``False`` without any figure.
 
     Several seeds are dots, with the 95 % interval of their mean.
@@ -112,13 +114,13 @@ def bars(lines: Sequence[Line], columns: Sequence[ColumnKey], better: Mapping[st
     return True
 
 
-def _bar(axis: Any, level: int, line: Line, column: ColumnKey) -> list[float]:
+def _bar(axis: Any, level: int, line: "Line", column: "ColumnKey") -> list[float]:
     """Draw a value, its seeds and its interval if there are several; return all ends."""
     value, seeds = line.value(*column), line.values(column)
     axis.barh(level, value, color=COLORS[line.origin], height=0.66)
     ends = [value]
     if len(seeds) > 1:
-        error = half_width(seeds)
+        error = line.half_width(column)
         axis.errorbar(value, level, xerr=error, color=_INK, linewidth=0.9, capsize=2.5)
         axis.plot(seeds, [level] * len(seeds), "o", color="white", markersize=3, mec=_INK, mew=0.6)
         ends += [value - error, value + error, *seeds]

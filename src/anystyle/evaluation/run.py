@@ -26,7 +26,7 @@ from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
 from anystyle.registry.jobs import command_line
-from anystyle.registry.schema import runtime_arguments
+from anystyle.registry.schema import node, runtime_arguments
 from anystyle.types import OnProgress, no_progress
 
 BRANCH = "branch.safetensors"
@@ -201,18 +201,21 @@ def make_sources(config: DictConfig, named: Mapping[str, bool]) -> dict[str, Any
 
 
 def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch.device) -> dict[str, Metric]:
-    """The metrics that are chosen, with what their constructors name."""
+    """The metrics that are chosen, with what their constructors name; completes the configuration by it."""
     # A variant sets options of metrics that may not be among those chosen.
-    chosen = {str(name): node for name, node in config.metric.items() if node is not None and "_target_" in node}
+    chosen = {str(name): one for name, one in config.metric.items() if one is not None and "_target_" in one}
     needed = {
         argument: name
-        for name, node in chosen.items()
-        for argument in runtime_arguments(catalog().owner("metric", str(node["_target_"])))
+        for name, one in chosen.items()
+        for argument in runtime_arguments(catalog().owner("metric", str(one["_target_"])))
     }
     runtime: dict[str, Any] = {}
     if "style_encoder" in needed:
         runtime["style_encoder"] = encoder or _style_encoder(config, needed["style_encoder"]).to(device)
-    if "correspondence" in needed and config.correspondence is not None:
+    if "correspondence" in needed:
+        if config.get("correspondence") is None:
+            default = catalog().find("correspondence", config.default_correspondence)
+            OmegaConf.update(config, "correspondence", node(default), force_add=True)  # so that the record has it
         runtime["correspondence"] = build(Correspondence, config.correspondence)
     return build_all(Metric, chosen, **runtime)
 

@@ -57,15 +57,15 @@ class Line:
         if self.state or column in self.printed:
             return self.state or self.printed[column]
         values = self.values(column)
-        interval = f" ± {number(half_width(values))}" if len(values) > 1 else ""
+        interval = f" ± {number(self.half_width(column))}" if len(values) > 1 else ""
         return number(self.value(*column)) + interval
 
+    def half_width(self, column: ColumnKey) -> float:
+        """Half the width of the 95 % interval of the mean over seeds, by Student's t."""
+        from scipy import stats
 
-def half_width(values: Sequence[float]) -> float:
-    """Half the width of the 95 % interval of a mean, by Student's t."""
-    from scipy import stats
-
-    return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
+        values = self.values(column)
+        return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
 
 
 def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:

@@ -15,9 +15,9 @@ from anystyle.branch import StyleBranch, sites_of
 from anystyle.contracts import (
     Backbone,
     Injector,
-    Loss,
     Method,
     Placement,
+    Published,
     Reconstruction,
     Renderer,
     SceneSource,
@@ -31,7 +31,6 @@ from anystyle.methods.branch import Branch
 from anystyle.paths import expanded
 from anystyle.pipeline.options import BranchOptions, ViewOptions
 from anystyle.pipeline.request import Request
-from anystyle.published import Published
 from anystyle.registry.build import build, build_all, choice
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
@@ -95,7 +94,7 @@ def published_by(config: DictConfig) -> Published:
     """How checkpoints of the configured backbone load that others published."""
     plugin = catalog().owner("backbone", config.backbone._target_)
     backbone = plugin.load()
-    published = backbone.published if issubclass(backbone, Backbone) else None
+    published = backbone.checkpoints() if issubclass(backbone, Backbone) else None
     if published is None:
         raise UserError(
             f"no published checkpoints of backbone={plugin.name} are known; give a file that anystyle wrote, or null"
@@ -186,7 +185,11 @@ def assemble_frozen(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, A
 def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
     """The configured method with its losses; nothing of it learns."""
     named = runtime_arguments(catalog().owner("method", str(config.method._target_)))
-    losses = build_all(Loss, config.get("loss"), style_encoder=style_encoder) if "losses" in named else {}
+    if "losses" not in named:
+        return build(Method, config.method)
+    from anystyle.contracts import Loss  # which brings torchmetrics
+
+    losses = build_all(Loss, config.get("loss"), style_encoder=style_encoder)
     for loss in losses.values():
         loss.requires_grad_(False)
     return build(Method, config.method, losses=losses)

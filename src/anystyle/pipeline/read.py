@@ -18,7 +18,7 @@ from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.saved import is_scene_file
 from anystyle.pipeline.stages import Stages
-from anystyle.reconstructions.feedforward import Feedforward
+from anystyle.reconstructions import Feedforward
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, SourceImage, Views

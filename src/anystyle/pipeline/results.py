@@ -16,7 +16,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.errors import UserError, one_line
-from anystyle.formats.ply import comments
+from anystyle.formats import comments
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil

@@ -14,6 +14,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -65,11 +66,21 @@ def kind_named(kind: str) -> KindInfo:
 def _declared(target: str) -> KindInfo:
     """What a contract of the core says, read from its source: importing it would import torch."""
     module, _, name = target.partition(":")
-    tree = ast.parse((paths.PACKAGE.parent / module.replace(".", "/")).with_suffix(".py").read_bytes())
-    body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
-    values = {ast.unparse(node.targets[0]): node.value for node in body if isinstance(node, ast.Assign)}
-    stated = {key: ast.literal_eval(values[key]) for key in KindInfo._fields if key in values}
-    return KindInfo(Pluggable.many, Pluggable.runtime)._replace(**stated)
+    stated = literals((paths.PACKAGE.parent / module.replace(".", "/")).with_suffix(".py"), name)
+    info = KindInfo(Pluggable.many, Pluggable.runtime)
+    return info._replace(**{key: stated[key] for key in KindInfo._fields if key in stated})
+
+
+def literals(file: Path, name: str) -> dict[str, Any]:
+    """The attributes that the body of a class states as literals, read from its file."""
+    classes = (node for node in ast.parse(file.read_bytes()).body if isinstance(node, ast.ClassDef))
+    body = next((node.body for node in classes if node.name == name), [])
+    found: dict[str, Any] = {}
+    for statement in body:
+        with suppress(ValueError):
+            if isinstance(statement, ast.Assign):
+                found[ast.unparse(statement.targets[0])] = ast.literal_eval(statement.value)
+    return found
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,14 @@
-"""Data files of plugin packages: presets in ``conf``, weights in ``weights.toml`` and ``assets``."""
+"""What is known of plugin packages without importing them: presets, files of weights, attributes of classes."""
 
 import importlib.machinery
 import importlib.util
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from anystyle import paths
-from anystyle.registry.catalog import PluginError, catalog, kinds
+from anystyle.registry.catalog import Plugin, PluginError, catalog, kinds, literals
 
 
 def source_file(module: str, root: Path | None) -> Path | None:
@@ -19,6 +21,16 @@ def source_file(module: str, root: Path | None) -> Path | None:
         folders = [] if spec is None else list(spec.submodule_search_locations or ())
     origin = spec.origin if spec is not None and spec.origin is not None else ""
     return Path(origin) if origin.endswith(".py") else None
+
+
+def stated(plugin: Plugin, name: str) -> Any:
+    """A class attribute; the class is imported for one that its own body does not state as a literal."""
+    module, _, cls = plugin.target.partition(":")
+    with suppress(OSError, SyntaxError, ValueError, ImportError):
+        file = source_file(module, plugin.root) if plugin.defined is None else None
+        if file is not None and name in (found := literals(file, cls)):
+            return found[name]
+    return getattr(plugin.load(), name)
 
 
 def packages() -> list[Path]:

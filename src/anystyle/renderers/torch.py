@@ -21,6 +21,7 @@ TILE = 16
 class TorchRenderer(CappedRasterizer):
     """Tile by tile in PyTorch: slow, readable, differentiable in everything."""
 
+    devices = ()
     priority = 1
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from anystyle import contracts
-from anystyle.contracts import Backbone
+from anystyle.contracts import Backbone, Published
 from anystyle.testing import asserts
 from anystyle.testing.inputs import noise, views
 from anystyle.testing.subject import Subject
@@ -19,7 +19,10 @@ PARTS = ("embedder", "aggregator", "geometry_head", "gaussian_head", "adapter")
 
 
 def test_encodes_views(plugin: Subject[Backbone]) -> None:
-    """It has five parts, ``patch_size`` and ``resolution``, and encodes any number of views, square or not."""
+    """It has five parts, ``patch_size`` and ``resolution``, and encodes any number of views, square or not.
+
+    What it says of checkpoints that others published is found.
+    """
     for name in PARTS:
         base = getattr(contracts, name.title().replace("_", ""))
         part = getattr(plugin.instance, name, None)
@@ -27,6 +30,8 @@ def test_encodes_views(plugin: Subject[Backbone]) -> None:
     for name in ("patch_size", "resolution"):
         value = getattr(plugin.instance, name, None)
         assert isinstance(value, int) and value >= 1, f"`{name}` is {value!r}, not a number of pixels"
+    published = plugin.instance.checkpoints()
+    assert published is None or isinstance(published, Published), f"`published` is a {type(published).__name__}"
     for number, shape in ((2, (3, 3)), (1, (3, 3)), (2, (2, 3)), (2, (5, 4))):
         _assert_encodes(plugin, _views(plugin, number=number, shape=shape))
 

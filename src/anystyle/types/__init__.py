@@ -8,55 +8,6 @@ Conventions, everywhere: images are sRGB in [0, 1]; camera axes are OpenCV's (x 
 centre lies at +0.5; intrinsics are in pixels; ``a_from_b`` maps coordinates of b to coordinates of a.
 """
 
-from anystyle.types.comparison import Comparison, Flow, Frames, Stylization
-from anystyle.types.network import (
-    Attributes,
-    Features,
-    Geometry,
-    Inject,
-    Site,
-    Source,
-    StyleEmbedding,
-    Tokens,
-    contiguous,
-    matching_sites,
-    untouched,
-)
-from anystyle.types.progress import OnProgress, Progress, no_progress
-from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene, StyledScene
-from anystyle.types.shapes import Value
-from anystyle.types.views import Cameras, Original, SourceImage, Style, TextMatch, Views
+import lazy_loader
 
-__all__ = [
-    "Attributes",
-    "Cameras",
-    "Clusters",
-    "Comparison",
-    "Features",
-    "Flow",
-    "Frames",
-    "Gaussians",
-    "Geometry",
-    "Inject",
-    "OnProgress",
-    "Original",
-    "Progress",
-    "Reconstructed",
-    "Renders",
-    "Scene",
-    "Site",
-    "Source",
-    "SourceImage",
-    "Style",
-    "StyleEmbedding",
-    "StyledScene",
-    "Stylization",
-    "TextMatch",
-    "Tokens",
-    "Value",
-    "Views",
-    "contiguous",
-    "matching_sites",
-    "no_progress",
-    "untouched",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -12,13 +12,11 @@ from torch import nn
 from anystyle import contracts
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn.attention import Block
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.anysplat.adapter import Adapter
 from anystyle_backbones.anysplat.heads import CameraHead, GaussianHead
-from anystyle_backbones.anysplat.keys import AnySplatCheckpoints
 from anystyle_backbones.anysplat.transformer import Aggregator, DinoV2, Embedder, Patches
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.heads import GeometryHead, check_options
@@ -74,7 +72,7 @@ class AnySplat(contracts.Backbone):
             :mod:`anystyle_backbones.scratch`). The computation is the same.
     """
 
-    published: ClassVar[Published | None] = AnySplatCheckpoints()
+    published = "anystyle_backbones.anysplat.keys:AnySplatCheckpoints"
     aggregator_type: ClassVar[type[Aggregator]] = Aggregator
 
     @classmethod

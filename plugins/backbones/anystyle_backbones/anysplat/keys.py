@@ -9,10 +9,10 @@ from typing import Literal
 
 from torch import Tensor, nn
 
+from anystyle.contracts import Published
 from anystyle.errors import UserError
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.io.checkpoint import fill
-from anystyle.published import Published
 from anystyle_backbones.published import checked_parts, count, decoder_options, dpt_rules, length, load_renamed, renamed
 
 _log = logging.getLogger(__name__)

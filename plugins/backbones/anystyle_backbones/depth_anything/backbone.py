@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 import torch
 from torch import nn
@@ -14,13 +14,11 @@ from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn.attention import Block
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.depth_anything.adapter import Adapter
 from anystyle_backbones.depth_anything.heads import CameraDecoder, GaussianHead, direct_layers
-from anystyle_backbones.depth_anything.keys import DepthAnythingCheckpoints
 from anystyle_backbones.depth_anything.transformer import Aggregator, Embedder
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.heads import GeometryHead, check_options
@@ -69,7 +67,7 @@ class DepthAnything(contracts.Backbone):
             :mod:`anystyle_backbones.scratch`). The computation is the same.
     """
 
-    published: ClassVar[Published | None] = DepthAnythingCheckpoints()
+    published = "anystyle_backbones.depth_anything.keys:DepthAnythingCheckpoints"
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

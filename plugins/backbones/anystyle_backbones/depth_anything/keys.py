@@ -12,8 +12,8 @@ from math import isqrt
 
 from torch import Tensor, nn
 
+from anystyle.contracts import Published
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle_backbones.published import (
     checked_parts,
     count,

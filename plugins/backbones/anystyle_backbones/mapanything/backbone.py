@@ -4,20 +4,17 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
 
 import torch
 from torch import nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.heads import check_options
 from anystyle_backbones.mapanything.heads import GeometryHead, PoseHead, scale_head
-from anystyle_backbones.mapanything.keys import MapAnythingCheckpoints
 from anystyle_backbones.mapanything.transformer import STEM, Aggregator, Embedder
 from anystyle_backbones.worldmirror.adapter import Adapter
 from anystyle_backbones.worldmirror.backbone import start_gaussians
@@ -56,7 +53,7 @@ class MapAnything(contracts.Backbone):
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
     """
 
-    published: ClassVar[Published | None] = MapAnythingCheckpoints()
+    published = "anystyle_backbones.mapanything.keys:MapAnythingCheckpoints"
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from anystyle import contracts
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive, Range
 from anystyle_backbones.anysplat.adapter import Adapter
 from anystyle_backbones.dpt import Dpt, DptTrunkOptions
 from anystyle_backbones.styl3r.heads import ColorHead, GaussianHead, GeometryHead, PixelDecoder, Styl3rBranch
-from anystyle_backbones.styl3r.keys import Styl3rCheckpoints
 from anystyle_backbones.styl3r.transformer import Aggregator, Embedder, ImageEncoder, TokenStylizer
 
 
@@ -44,7 +42,7 @@ class Styl3r(contracts.Backbone):
         chunk: Views that heads decode at a time; it affects only memory.
     """
 
-    published: ClassVar[Published | None] = Styl3rCheckpoints()
+    published = "anystyle_backbones.styl3r.keys:Styl3rCheckpoints"
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -13,8 +13,8 @@ from math import isqrt
 import torch
 from torch import Tensor, nn
 
+from anystyle.contracts import Published
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle_backbones.published import checked_parts, count, fusion_rules, length, load_renamed, renamed
 
 LAYOUT = "Styl3R; choose model=styl3r"

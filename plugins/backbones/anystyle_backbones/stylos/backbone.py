@@ -9,13 +9,11 @@ from torch import nn
 
 from anystyle.contracts import StylePredictor
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones.anysplat.backbone import AnySplat
 from anystyle_backbones.anysplat.transformer import Aggregator
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.stylos.heads import GaussianHead, StylosBranch
-from anystyle_backbones.stylos.keys import StylosCheckpoints
 from anystyle_backbones.stylos.transformer import Order, StemAggregator, StyleAggregator
 
 
@@ -50,7 +48,7 @@ class Stylos(AnySplat):
         checkpointing: Whether training recomputes blocks of the style aggregator to save memory.
     """
 
-    published: ClassVar[Published | None] = StylosCheckpoints()
+    published = "anystyle_backbones.stylos.keys:StylosCheckpoints"
     aggregator_type: ClassVar[type[Aggregator]] = StemAggregator
 
     @classmethod

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor, nn
 
+from anystyle.contracts import Published
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle_backbones.anysplat import keys as anysplat
 from anystyle_backbones.anysplat.transformer import DinoV2
 from anystyle_backbones.published import checked_parts, count, dpt_rules, load_renamed, renamed

@@ -4,14 +4,13 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 import torch
 from torch import nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block
-from anystyle.published import Published
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.anysplat.backbone import start_geometry
@@ -22,7 +21,6 @@ from anystyle_backbones.heads import check_options
 from anystyle_backbones.worldmirror.adapter import Adapter
 from anystyle_backbones.worldmirror.embedder import Embedder
 from anystyle_backbones.worldmirror.heads import GaussianHead, GeometryHead
-from anystyle_backbones.worldmirror.keys import WorldMirrorCheckpoints
 
 
 class WorldMirror(contracts.Backbone):
@@ -60,7 +58,7 @@ class WorldMirror(contracts.Backbone):
             :mod:`anystyle_backbones.scratch`). The computation is the same.
     """
 
-    published: ClassVar[Published | None] = WorldMirrorCheckpoints()
+    published = "anystyle_backbones.worldmirror.keys:WorldMirrorCheckpoints"
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -10,8 +10,8 @@ from functools import partial
 
 from torch import Tensor, nn
 
+from anystyle.contracts import Published
 from anystyle.errors import UserError
-from anystyle.published import Published
 from anystyle_backbones.published import checked_parts, count, decoder_options, dpt_rules, length, load_renamed, renamed
 
 LAYOUT, PUBLISHER = "WorldMirror, version 1", "WorldMirror's"

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from anystyle.branch import StyleBranch
 from anystyle.injectors.zero_conv import ZeroConv
-from anystyle.placements.full import Full
-from anystyle.placements.head import Head
+from anystyle.placements import Full, Head
 from anystyle.testing.oracle import fill_named, smooth_image
 from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens, Views
 from anystyle_backbones.anysplat import AnySplat, keys

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from anystyle.branch import StyleBranch
 from anystyle.injectors.zero_conv import ZeroConv
-from anystyle.placements.full import Full
-from anystyle.placements.head import Head
+from anystyle.placements import Full, Head
 from anystyle.types import Site
 from anystyle_backbones.anysplat import AnySplat, keys
 

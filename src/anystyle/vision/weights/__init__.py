@@ -5,44 +5,6 @@ A missing file raises, and nothing is downloaded unless ``anystyle weights downl
 folder ``assets``.
 """
 
-from anystyle.types.network import checksums, stand_ins
-from anystyle.vision.weights.licenses import License, binding, license_lines, license_meaning, licenses
-from anystyle.vision.weights.reading import read
-from anystyle.vision.weights.search import (
-    FOLDERS,
-    MissingWeights,
-    candidates,
-    download,
-    find,
-    folders,
-    has_hub,
-    verified,
-)
-from anystyle.vision.weights.sources import Weights, bundled, locate, published
-from anystyle.vision.weights.table import WeightsFile, files, row
+import lazy_loader
 
-__all__ = [
-    "FOLDERS",
-    "License",
-    "MissingWeights",
-    "Weights",
-    "WeightsFile",
-    "binding",
-    "bundled",
-    "candidates",
-    "checksums",
-    "download",
-    "files",
-    "find",
-    "folders",
-    "has_hub",
-    "license_lines",
-    "license_meaning",
-    "licenses",
-    "locate",
-    "published",
-    "read",
-    "row",
-    "stand_ins",
-    "verified",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,19 +1,31 @@
-"""Where a file of weights is searched, and fetched from if it is asked for."""
+"""Where a file of weights is searched, and fetched from if it is asked for; which of them a network has."""
 
 import importlib.util
+import logging
 import os
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Literal
 
 from anystyle import paths
 from anystyle.errors import UserError
 from anystyle.io.checkpoint import sha256
 from anystyle.paths import expanded
 from anystyle.registry.packages import packages
+from anystyle.types import Source
+from anystyle.types.network import checksums as checksums
+from anystyle.types.network import stand_ins as stand_ins
 from anystyle.vision.weights.table import TABLE, row, rows_of
 
 FOLDERS = "ANYSTYLE_WEIGHTS"
 """The environment variable that names folders of weights, separated as in ``PATH``."""
+
+Weights = Literal["auto", "published", "stand_in"]
+"""``published`` requires published weights, ``stand_in`` takes a stand-in, ``auto`` does so where they are missing."""
+
+log = logging.getLogger(__name__)
 
 
 class MissingWeights(UserError, FileNotFoundError):
@@ -92,3 +104,32 @@ def verified(name: str, path: str | Path) -> bool | None:
     """Whether a file has the checksum that its publisher states; ``None`` if none is stated."""
     stated = row(name).sha256
     return None if stated is None else sha256(path).startswith(stated)
+
+
+def locate(network: str, choice: Weights) -> Path | None:
+    """The published weights of a network; ``None`` where a stand-in is chosen or replaces missing ones."""
+    if choice == "stand_in":
+        return None
+    try:
+        return find(network)
+    except MissingWeights as error:
+        if choice == "published":
+            raise
+        log.warning("a stand-in replaces %s, its figures are not comparable: %s", network, error)
+        return None
+
+
+def published(network: str, file: Path) -> Source:
+    """The source of a network that was read from a file."""
+    status = file.stat()
+    return Source(network=network, file=file.name, sha256=_digest(file, status.st_mtime_ns, status.st_size))
+
+
+@cache
+def _digest(file: Path, changed: int, size: int) -> str:
+    return sha256(file)
+
+
+def bundled(network: str, stand_in: str) -> Source:
+    """The source of a stand-in that rests on the bundled texture network."""
+    return replace(published("texture", find("texture")), network=network, stand_in=stand_in)

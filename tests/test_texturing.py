@@ -2,7 +2,7 @@
 
 import torch
 
-from anystyle.geometry.texturing import single_view_colors
+from anystyle.branch import single_view_colors
 from anystyle.types import Cameras
 
 HEIGHT, WIDTH, DEPTH = 8, 12, 2.0

@@ -1,4 +1,4 @@
-"""The scene that the backbone predicts."""
+"""Reconstructions: from views to the scene that is styled."""
 
 from collections.abc import Callable, Sequence
 

@@ -1,4 +1,4 @@
-"""3DGS PLY files as a plugin; :mod:`anystyle.io.ply` reads and writes them."""
+"""The formats of Gaussian scenes that come with the core: 3DGS PLY, as :mod:`anystyle.io.ply` reads and writes it."""
 
 import re
 from pathlib import Path

@@ -1,1 +1,0 @@
-"""The file formats of Gaussian scenes that the core reads and writes."""

@@ -1,1 +1,0 @@
-"""Placements: which sites of a backbone style enters."""

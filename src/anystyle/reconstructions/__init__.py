@@ -1,1 +1,0 @@
-"""Reconstructions: from views to the scene that is styled."""
