@@ -30,6 +30,11 @@ class Format(Pluggable, ABC):
 
     many_styles: ClassVar[bool] = False
     """Whether a file has room for several styles."""
+    shared: ClassVar[tuple[str, ...]] = ()
+    """Attributes of :class:`~anystyle.types.Gaussians` that all styles of a file have in common, such as ``means``.
+
+    Without any, a style may move Gaussians or add some.
+    """
     folder: ClassVar[bool] = False
     """Whether a scene is a folder of files."""
 
@@ -38,8 +43,8 @@ class Format(Pluggable, ABC):
         """Write a scene, whole or not at all.
 
         Args:
-            scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible. A format with room
-                for one style takes the last.
+            scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible, and its styles
+                have in common what :attr:`shared` names. A format with room for one style takes the last.
             path: The file, or the folder.
 
         Raises:
