@@ -66,7 +66,8 @@ class Level:
 class Lod(Format):
     """Streamed SOG in all styles: ``lod-meta.json`` is the last, ``styles`` has the others, ``index.html`` the page."""
 
-    folder = has_notes = many_styles = True
+    index = "lod-meta.json"
+    has_notes = many_styles = True
     shared = ("means", "rotations", "scales", "opacities")
 
     def write(self, scene: StyledScene, path: Path) -> None:
@@ -86,7 +87,7 @@ class Lod(Format):
                     colors = zip(folders, np.split(part.harmonics, ends, 1), strict=True)
                     _write_chunk(target, f"{number}_{chunk}", part, dict(colors))
             for folder in folders:
-                (target / folder / "lod-meta.json").write_text(index, encoding="utf-8")
+                (target / folder / self.index).write_text(index, encoding="utf-8")
             (target / "index.html").write_text(page, encoding="utf-8", errors="backslashreplace")
 
 

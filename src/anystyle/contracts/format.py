@@ -35,8 +35,8 @@ class Format(Pluggable, ABC):
 
     Without any, a style may move Gaussians or add some.
     """
-    folder: ClassVar[bool] = False
-    """Whether a scene is a folder of files."""
+    index: ClassVar[str] = ""
+    """The file by which a folder is known as a scene of the format; empty where a scene is one file."""
 
     @abstractmethod
     def write(self, scene: StyledScene, path: Path) -> None:

@@ -25,7 +25,7 @@ def test_writes_one_file(plugin: Subject[Format]) -> None:
         first, second, taken = (Path(folder, f"{name}.scene") for name in ("first", "second", "taken"))
         plugin.instance.write(_scene(), first)
         plugin.instance.write(_scene(), second)
-        (taken.touch if plugin.cls.folder else taken.mkdir)()
+        (taken.touch if plugin.cls.index else taken.mkdir)()
         with pytest.raises((OSError, UserError)):
             plugin.instance.write(_scene(), taken)
         left = set(Path(folder).iterdir()) - {first, second, taken}
