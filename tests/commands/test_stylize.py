@@ -127,16 +127,26 @@ def test_a_browser_opens_where_there_is_a_display(tmp_path, display):
     assert not display or (tmp_path / "opened").read_text() == (tmp_path / "page.html").as_uri() + "\n"
 
 
-def test_styles_that_move_gaussians_have_files_of_their_own(photographs, tmp_path):
+def test_styles_that_move_gaussians_share_the_file_of_a_format_that_holds_them(photographs, tmp_path):
     for name, color in (("red", (200, 30, 30)), ("blue", (30, 30, 200))):
         Image.new("RGB", (40, 30), color).save(tmp_path / f"{name}.png")
     images = ("--image", tmp_path / "red.png", "--image", tmp_path / "blue.png")
     words = ("method=optimize", "loss=[total_variation]", "method.num_steps=1", "method.means_lr=0.1")
-    run(photographs, *images, "--export", "html,glb", "--out", tmp_path / "out", *words, *SMALL)
-    names = {str(path.relative_to(tmp_path / "out")) for path in tmp_path.glob("out/**/scene.*[lb]")}
-    assert names == {f"{folder}/scene.{kind}" for folder in ("01-red", "02-blue") for kind in ("html", "glb")}
-    (title, _), *others = read_saved(tmp_path / "out" / "02-blue" / "scene.glb").styles
-    assert title == "blue" and not others
+    run(photographs, *images, "--export", "html,glb,usd,lod", "--out", tmp_path / "out", *words, *SMALL)
+    names = {str(path.relative_to(tmp_path / "out")) for path in tmp_path.glob("out/**/scene.*[lbd]")}
+    own = {f"{folder}/scene.{kind}" for folder in ("01-red", "02-blue") for kind in ("html", "lod")}
+    assert names == {"scene.glb", "scene.usd"} | own
+    for name in ("scene.glb", "scene.usd"):
+        styles = dict(read_saved(tmp_path / "out" / name).styles)
+        assert list(styles) == ["unstyled", "red", "blue"]
+        assert not torch.equal(styles["red"].means, styles["unstyled"].means)
+
+
+def test_a_style_that_moves_gaussians_lies_beside_the_unstyled_scene(photographs, tmp_path):
+    Image.new("RGB", (40, 30), (200, 30, 30)).save(tmp_path / "red.png")
+    words = ("method=optimize", "loss=[total_variation]", "method.num_steps=1", "method.means_lr=0.1")
+    run(photographs, "--image", tmp_path / "red.png", "--export", "glb", "--out", tmp_path / "out", *words, *SMALL)
+    assert [title for title, _ in read_saved(tmp_path / "out" / "scene.glb").styles] == ["unstyled", "red"]
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -175,7 +175,7 @@ def test_bad_inputs_end_in_one_line(tmp_path):
     Image.new("RGB", (8, 8)).save(tmp_path / "web" / "0_0" / "sh0.webp", lossless=True)
     told = {
         "empty": "no images in the folder",
-        "web": "is a streamed scene",
+        "web": r"is a scene of Gaussians \(lod\)",
         "absent": "no folder, image or video",
         "sound.mp4": "no video in it",
     }

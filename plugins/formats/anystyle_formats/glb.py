@@ -92,18 +92,17 @@ class Glb(Format):
             if not scenes[shown]:
                 raise ValueError(f"what it shows has no primitive with the extension {NAME}")
             offset = offset_of_parts(scenes[shown], remarks)
-            found = [
+            found = tuple(
                 (str(document["scenes"][index].get("name") or path.stem), joined(parts, offset))
                 for index, parts in scenes.items()
                 if parts
-            ]
+            )
             asset = document["asset"]
             if not str(asset["version"]).startswith("2."):
                 raise ValueError(f"it is of glTF {asset['version']}, and 2.0 is read")
             extras = asset["extras"] if isinstance(asset.get("extras"), dict) else {}
             notes = joined_notes(str(asset.get("copyright", "")).splitlines(), extras.get("provenance"))
-        alike = tuple(style for style in found if style[1].means.shape == found[-1][1].means.shape)
-        return StyledScene(alike, notes=notes, up=self.up, offset=offset)
+        return StyledScene(found, notes=notes, up=self.up, offset=offset)
 
 
 class _Buffer(NamedTuple):

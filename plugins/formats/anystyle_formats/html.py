@@ -18,7 +18,6 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Format
-from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.io.atomic import atomic_path
@@ -42,15 +41,10 @@ class Html(Format):
     """
 
     has_notes = many_styles = True
+    shared = ("means", "scales", "opacities")
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        titles = [title for title, _ in scene.styles]
-        styles = [scene.splats(index) for index in range(len(titles))]
-        shape = styles[0].means, styles[0].scales, styles[0].opacities
-        for title, style in zip(titles, styles, strict=True):
-            if not all(map(torch.equal, (style.means, style.scales, style.opacities), shape)):
-                raise UserError(f"the style {title!r} has other Gaussians than {titles[0]!r}; one page, one scene")
-        blob, packing, entries = _packed(styles)
+        blob, packing, entries = _packed([scene.splats(index) for index in range(len(scene.styles))])
         page = page_of(scene, packing, entries, data=base64.b64encode(gzip.compress(blob, mtime=0)).decode())
         with atomic_path(path) as temporary:
             temporary.write_text(page, encoding="utf-8", errors="backslashreplace")

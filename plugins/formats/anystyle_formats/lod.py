@@ -7,9 +7,8 @@ weights that colours have no part in: all styles share their images of positions
 """
 
 import json
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import ceil, log2
@@ -30,7 +29,6 @@ from anystyle_formats.html import page_of
 from anystyle_formats.packing import Columns, columns_of, cuts, kd_order, morton_order
 from anystyle_formats.sog import asset, encoded_colors, encoded_shape
 
-_log = logging.getLogger(__name__)
 CHUNK = 65_536
 """Gaussians in a chunk at most: with all attributes but view-dependent colour, less than a megabyte."""
 COARSEST = 49_152
@@ -68,21 +66,18 @@ class Level:
 class Lod(Format):
     """Streamed SOG in all styles: ``lod-meta.json`` is the last, ``styles`` has the others, ``index.html`` the page."""
 
-    folder = has_notes = many_styles = True
+    index = "lod-meta.json"
+    has_notes = many_styles = True
+    shared = ("means", "rotations", "scales", "opacities")
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        styles = {title: columns_of(scene.splats(index)) for index, (title, _) in enumerate(scene.styles)}
-        last = scene.styles[-1][0]
-        alike = [title for title, style in styles.items() if all(map(np.array_equal, style[:4], styles[last][:4]))]
-        if moved := styles.keys() - alike:
-            line = "%s: levels of detail share the geometry of %r; left out are styles with another: %s"
-            _log.warning(line, path, last, ", ".join(sorted(moved)))
-        scene = replace(scene, styles=tuple(each for each in scene.styles if each[0] in alike))
-        harmonics = [styles[title].harmonics for title in alike]
+        styles = [columns_of(scene.splats(index)) for index in range(len(scene.styles))]
+        harmonics = [style.harmonics for style in styles]
         # Those of all styles are merged as if they were one.
-        levels = levels_of(styles[last]._replace(harmonics=np.concatenate(harmonics, 1)))
+        levels = levels_of(styles[-1]._replace(harmonics=np.concatenate(harmonics, 1)))
         ends = np.cumsum([each.shape[1] for each in harmonics])[:-1]
-        folders = [f"styles/{number}-{slug(title)}/" for number, title in enumerate(alike[:-1], 1)] + [""]
+        titles = [title for title, _ in scene.styles[:-1]]
+        folders = [f"styles/{number}-{slug(title)}/" for number, title in enumerate(titles, 1)] + [""]
         index = json.dumps(index_of(levels) | {"asset": asset(scene.notes)})
         page = page_of(scene, {"rotations": [0]}, [{"rotation": 0, "folder": folder} for folder in folders])
         with atomic_directory(path, overwrite=True) as target:
@@ -92,7 +87,7 @@ class Lod(Format):
                     colors = zip(folders, np.split(part.harmonics, ends, 1), strict=True)
                     _write_chunk(target, f"{number}_{chunk}", part, dict(colors))
             for folder in folders:
-                (target / folder / "lod-meta.json").write_text(index, encoding="utf-8")
+                (target / folder / self.index).write_text(index, encoding="utf-8")
             (target / "index.html").write_text(page, encoding="utf-8", errors="backslashreplace")
 
 

@@ -10,11 +10,11 @@ from anystyle.commands import export as command
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.ply import from_smallest_three
-from anystyle.pipeline.export import export
+from anystyle.pipeline.export import export, export_styles
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
-from anystyle.types import Gaussians
+from anystyle.types import Gaussians, StyledScene
 from anystyle.vision.weights import license_meaning, licenses
 from anystyle_formats.packing import smallest_three
 from anystyle_formats.sog import codebook, palette
@@ -40,6 +40,22 @@ def test_splat_transform_sees_the_same_picture(name, tmp_path):
     export(gaussians, tmp_path / f"scene.{name}", name)
     read = read_with_splat_transform(tmp_path / f"scene.{name}", tmp_path)
     assert psnr(picture(read), picture(gaussians)) > LEAST[name] - 2
+
+
+@pytest.mark.parametrize("name", ["html", "lod", "glb"])
+def test_styles_with_a_shape_of_their_own_are_left_out_where_a_file_has_one_with_a_line(name, tmp_path, caplog):
+    plain = scene()
+    moved, fewer = replace(plain, scales=2 * plain.scales), plain.map(lambda tensor: tensor[:, :30])
+    export_styles(StyledScene((("grown", moved), ("few", fewer), ("plain", plain))), tmp_path / "all", name)
+    if name == "glb":
+        counts = {title: each.means.shape[1] for title, each in build(Format, name).read(tmp_path / "all").styles}
+        assert counts == {"grown": plain.means.shape[1], "few": 30, "plain": plain.means.shape[1]}
+        assert caplog.text == ""
+        return
+    assert "share means, " in caplog.text and "left out are those with others: few, grown" in caplog.text
+    export_styles(StyledScene((("plain", plain),)), tmp_path / "alone", name)
+    both = [tmp_path / each if name == "html" else tmp_path / each / "index.html" for each in ("all", "alone")]
+    assert both[0].read_text() == both[1].read_text()
 
 
 @pytest.mark.parametrize("up", AXES)

@@ -239,14 +239,6 @@ def test_five_styles_take_at_most_eighty_bytes_per_gaussian(tmp_path):
     assert (tmp_path / "scene.html").stat().st_size <= 80 * 20_000
 
 
-def test_styles_of_other_scenes_are_refused(tmp_path):
-    other = replace(scene(1, COUNT), means=scene(1, COUNT).means + 1)
-    for wrong in (other, scene(1, 30)):
-        with pytest.raises(ValueError, match="one page, one scene"):
-            write(tmp_path / "scene.html", [("one", scene(1, COUNT)), ("other", wrong)])
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_it_opens_where_most_is_seen_that_others_see_too():
     """Not close to a part, not from outside past it, and not from behind what hides the rest."""
     generator = torch.Generator().manual_seed(0)

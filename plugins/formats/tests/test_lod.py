@@ -162,14 +162,6 @@ def test_styles_share_the_images_of_their_geometry(tmp_path, monkeypatch):
     torch.testing.assert_close(coarse[0].harmonics.flip(-1), coarse[1].harmonics, atol=0.03, rtol=0)
 
 
-def test_styles_that_move_gaussians_are_left_out_with_a_line(tmp_path, caplog):
-    plain = scene()
-    moved = replace(plain, scales=2 * plain.scales)
-    Lod().write(StyledScene((("grown", moved), ("plain", plain))), tmp_path / "scene.lod")
-    assert not (tmp_path / "scene.lod" / "styles").exists()
-    assert "share the geometry of 'plain'; left out are styles with another: grown" in caplog.text
-
-
 def test_a_folder_of_others_is_refused_and_stays(tmp_path):
     (tmp_path / "index.html").write_text("mine")
     with pytest.raises(UserError, match=r"index\.html is there already"):

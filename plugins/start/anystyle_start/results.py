@@ -100,7 +100,7 @@ def picture(style: StyleFolder, files: Path) -> Path | None:
 def formats() -> dict[str, bool]:
     """The formats of downloads, and whether a file holds several styles."""
     known = {name: catalog().find("format", name).load() for name in catalog().names("format")}
-    return {name: kind.many_styles for name, kind in known.items() if not kind.folder} | {ARCHIVE: True}
+    return {name: kind.many_styles for name, kind in known.items() if not kind.index} | {ARCHIVE: True}
 
 
 def download(run: Path, files: Path, name: str, style: str, program: Sequence[str]) -> Path:

@@ -39,7 +39,7 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
         raise UserError(f"no format is named; give --to with one of {', '.join(formats)}")
     if arguments.out.exists() and arguments.scene.exists() and arguments.out.samefile(arguments.scene):
         raise UserError(f"{arguments.out} is the scene itself; name another file with --out")
-    if arguments.scene.is_dir() and (arguments.from_up or overrides):
+    if (arguments.scene / "report.json").is_file() and (arguments.from_up or overrides):
         raise UserError(
             "a folder of results is in OpenCV's axes; --from-up and splat.KEY=VALUE are for files of others"
         )

@@ -30,16 +30,21 @@ class Format(Pluggable, ABC):
 
     many_styles: ClassVar[bool] = False
     """Whether a file has room for several styles."""
-    folder: ClassVar[bool] = False
-    """Whether a scene is a folder of files."""
+    shared: ClassVar[tuple[str, ...]] = ()
+    """Attributes of :class:`~anystyle.types.Gaussians` that all styles of a file have in common, such as ``means``.
+
+    Without any, a style may move Gaussians or add some.
+    """
+    index: ClassVar[str] = ""
+    """The file by which a folder is known as a scene of the format; empty where a scene is one file."""
 
     @abstractmethod
     def write(self, scene: StyledScene, path: Path) -> None:
         """Write a scene, whole or not at all.
 
         Args:
-            scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible. A format with room
-                for one style takes the last.
+            scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible, and its styles
+                have in common what :attr:`shared` names. A format with room for one style takes the last.
             path: The file, or the folder.
 
         Raises:

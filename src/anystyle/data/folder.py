@@ -17,6 +17,7 @@ from PIL import Image
 from anystyle.data import images
 from anystyle.data.names import short_names
 from anystyle.data.poses import readers
+from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io import video
@@ -208,8 +209,8 @@ def files_of(item: Path) -> list[Path]:
     """The files that a folder, a pattern or the name of an example stands for, or the file itself."""
     item = resolved(item)
     if item.is_dir():
-        if (item / "lod-meta.json").is_file():  # its pictures are positions and colours
-            raise UserError(f"{item} is a streamed scene (`--export lod`); name the scene that it was made of")
+        if name := scene_format(item):  # its pictures may be positions and colours
+            raise UserError(f"{item} is a scene of Gaussians ({name}), and no photographs; name it alone")
         # Captures with cameras keep their photographs in a folder of that name, or where their program puts them.
         found = ((reader, reader.find(item)) for reader in readers())
         places = [reader.photographs(path) for reader, path in found if path is not None]

@@ -43,14 +43,19 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
     readers of the format expect.
     """
     writer = build(Format, name)
-    first, given = scene.styles[0][0], dict(scene.styles)
-    for title, gaussians in given.items():
-        if gaussians.means.shape != given[first].means.shape:
-            raise UserError(f"the style {title!r} has other Gaussians than {first!r}; one file, one scene")
-    visible = torch.stack([gaussians.opacities[0] > 0 for gaussians in given.values()]).any(0)
-    if not bool(visible.any()):
+    given, last = dict(scene.styles), scene.styles[-1][1]
+    kept = {title: each for title, each in given.items() if each.shares(last, writer.shared)}
+    if left_out := given.keys() - kept:
+        line = "%s: styles of one file share %s; left out are those with others: %s"
+        _log.warning(line, path, ", ".join(writer.shared), ", ".join(sorted(left_out)))
+    visible = {title: each.opacities[0] > 0 for title, each in kept.items()}
+    if len({len(rows) for rows in visible.values()}) == 1:  # they stay as many, and what is equal stays equal
+        visible = dict.fromkeys(kept, torch.stack(list(visible.values())).any(0))
+    if not all(bool(rows.any()) for rows in visible.values()):
         raise UserError("the scene has no Gaussians that are visible; there is nothing to export")
-    styles = tuple((title, gaussians.map(lambda tensor: tensor[:, visible])) for title, gaussians in scene.styles)
+    styles = tuple(
+        (title, each.map(lambda tensor, rows=visible[title]: tensor[:, rows])) for title, each in kept.items()
+    )
     turned = in_axes(up or writer.up, replace(scene, styles=styles))
     if any(scene.offset) and not writer.has_offset:
         _log.warning(

@@ -11,12 +11,13 @@ from torch import Tensor
 from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
 from anystyle.data.folder import covering, files_of, read_originals, read_views
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
+from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
 from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
-from anystyle.pipeline.saved import is_scene_file
+from anystyle.pipeline.saved import OWN
 from anystyle.pipeline.stages import Stages
 from anystyle.reconstructions import Feedforward
 from anystyle.registry.build import build
@@ -53,10 +54,10 @@ class ReadViews:
 
 
 def is_saved(path: Path) -> bool:
-    """Whether this is a file of Gaussians or a folder that ``anystyle stylize`` wrote, and no capture."""
-    if path.is_dir():
-        return (path / "report.json").is_file() and any(path.glob("*.safetensors"))
-    return is_scene_file(path)
+    """Whether this is a file or folder of Gaussians, or a folder that ``anystyle stylize`` wrote, and no capture."""
+    if path.is_dir() and (path / "report.json").is_file() and any(path.glob("*.safetensors")):
+        return True
+    return scene_format(path) is not None or (path.suffix.lower() == OWN and not path.is_dir())
 
 
 def saved_path(inputs: object) -> Path | None:

@@ -10,11 +10,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import torch
 from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.contracts import Format
 from anystyle.errors import UserError, one_line
 from anystyle.formats import comments
 from anystyle.io import ply
@@ -59,18 +59,9 @@ class Result:
         """The cameras of the input views, in the frame of the Gaussians."""
         return self.encoded.cameras
 
-    @property
-    def alike(self) -> bool:
-        """Whether it differs from the unstyled scene in colours and rotations alone; some methods move or add more."""
-        unstyled = self.results.restyler.unstyled
-        shared = ("means", "scales", "opacities")
-        return all(torch.equal(getattr(self.gaussians, name), getattr(unstyled, name)) for name in shared)
-
-    @property
-    def _only_colors(self) -> bool:
-        """Whether all but colours is as it was given."""
-        turned = not torch.equal(self.gaussians.rotations, self.results.restyler.unstyled.rotations)
-        return self.results.export.up in (None, "opencv") and self.alike and not turned
+    def shares(self, names: Sequence[str]) -> bool:
+        """Whether these attributes of Gaussians are those of the unstyled scene; some methods move or add Gaussians."""
+        return self.gaussians.shares(self.results.restyler.unstyled, names)
 
     @property
     def report(self) -> dict[str, object]:
@@ -101,9 +92,9 @@ class Result:
                 del report[name]
         return report if results.export.provenance else _technical(report)
 
-    def scene(self) -> StyledScene:
-        """The Gaussians for a file that holds several styles: before this one the unstyled, if only colours differ."""
-        styles = [("unstyled", self.results.restyler.unstyled)] if self.alike else []
+    def scene(self, shared: Sequence[str] = ()) -> StyledScene:
+        """The Gaussians for a file of styles that share attributes: before this one the unstyled, if they are its."""
+        styles = [("unstyled", self.results.restyler.unstyled)] if self.shares(shared) else []
         return self.results.scene([*styles, (self.style.title, self.gaussians)], [self.style], self.style.title)
 
     def render(self, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:
@@ -128,15 +119,15 @@ class Result:
     def _write_scene(self, folder: Path) -> list[Image.Image]:
         gaussians, encoded, results, options = self.gaussians, self.encoded, self.results, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
-        scene, given = self.scene(), encoded.splat
-        written = ("ply", *(results.common_formats if self.alike else ()))
-        own = [name for name in dict.fromkeys(options.formats) if name not in written]
+        scene, given, as_given = self.scene(), encoded.splat, ("means", "rotations", "scales", "opacities")
         # A trip through float32 logarithms and back moves the last bits.
-        source = given if given is not None and given.suffix.lower() == ".ply" and self._only_colors else None
+        kept = options.up in (None, "opencv") and self.shares(as_given)
+        source = given if kept and given is not None and given.suffix.lower() == ".ply" else None
         if source is None or not ply.recolor(source, gaussians.harmonics[0], folder / "scene.ply", comments(scene)):
             export_styles(scene, folder / "scene.ply", "ply", up=options.up)
-        for name in own:
-            results.export_scene(scene, folder / f"scene.{name}", name)
+        for name, kind in results.formats.items():
+            if not (name in results.common_formats and self.shares(kind.shared)):
+                results.export_scene(self.scene(kind.shared), folder / f"scene.{name}", name)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         names, followed = encoded.targets or (encoded.names, self.cameras)
@@ -253,7 +244,7 @@ class Results:
     def write(self, folder: Path) -> None:
         """Write all results into a folder that has none of their files."""
         written: list[Future[Column]] = []
-        columns, alike = [*self.before], [("unstyled", self.restyler.unstyled)]
+        columns, styles = [*self.before], [("unstyled", self.restyler.unstyled)]
         report: dict[str, object] = {}
         # A result is rendered and encoded in a thread while the next one is computed: memory holds two, and no film.
         with ThreadPoolExecutor(1) as thread:
@@ -265,8 +256,8 @@ class Results:
                     inside = folder if len(self) == 1 else folder / f"{index + 1:02d}-{result.style.name}"
                     written.append(thread.submit(result.write, inside))
                     report = result.report
-                    if self.common_formats and result.alike:
-                        alike.append((result.style.title, result.gaussians))
+                    if any(result.shares(kind.shared) for kind in self.common_formats.values()):
+                        styles.append((result.style.title, result.gaussians))
                 columns += self._wait(written)
             except BaseException:
                 self.given_up = True
@@ -275,8 +266,10 @@ class Results:
             save_gaussians(self.restyler.unstyled, folder / "unstyled.safetensors")
             if len(self) > 1:
                 self.write_sheet(folder, columns)
-            for name in self.common_formats if len(alike) > 1 else []:
-                self.export_scene(self.scene(alike, self.styles), folder / f"scene.{name}", name)
+            for name, kind in self.common_formats.items():
+                alike = [each for each in styles if each[1].shares(self.restyler.unstyled, kind.shared)]
+                if len(alike) > 1:
+                    self.export_scene(self.scene(alike, self.styles), folder / f"scene.{name}", name)
         if len(self) > 1:
             common = {"style": [style.title for style in self.styles], "provenance": tables(self.notes(self.styles))}
             write_json(folder / "report.json", report | self.stages.report() | common)
@@ -286,10 +279,14 @@ class Results:
             return [future.result() for future in written]
 
     @cached_property
-    def common_formats(self) -> list[str]:
-        """The formats whose file holds several styles: one lies beside the sheet, and none in their folders."""
-        formats = self.export.formats if len(self) > 1 else []
-        return [name for name in formats if catalog().find("format", name).load().many_styles]
+    def formats(self) -> dict[str, type[Format]]:
+        """The formats of a scene beside PLY."""
+        return {name: catalog().find("format", name).load() for name in self.export.formats if name != "ply"}
+
+    @cached_property
+    def common_formats(self) -> dict[str, type[Format]]:
+        """The formats whose file holds several styles: one lies beside the sheet, with all that share what it asks."""
+        return {name: kind for name, kind in self.formats.items() if kind.many_styles and len(self) > 1}
 
     def notes(self, styles: Sequence[EmbeddedStyle]) -> tuple[str, ...]:
         """On what the scene in these styles was made of; else of licences that bind it alone."""

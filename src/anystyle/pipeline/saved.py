@@ -17,10 +17,10 @@ from anystyle.contracts import Format, StoredCamera
 from anystyle.data.images import open_image
 from anystyle.data.names import distinct, names_below, short_names
 from anystyle.data.poses import stored_cameras
+from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.geometry.transforms import Similarity
-from anystyle.io import video
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.documents import read_json, read_text, regular
@@ -29,7 +29,6 @@ from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.provenance import MADE_OF, note
 from anystyle.ranges import Count
 from anystyle.registry.build import build
-from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
 from anystyle.vision import weights
 
@@ -144,12 +143,6 @@ def unstyled_of(scene: StyledScene) -> Gaussians:
     return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
 
 
-def is_scene_file(path: Path) -> bool:
-    """Whether its suffix is that of :func:`save_gaussians` or the name of a ``format`` but a film's, which is views."""
-    suffix = path.suffix.lower()
-    return suffix == OWN or (suffix[1:] in catalog().names("format") and suffix not in video.SUFFIXES)
-
-
 def read_saved(path: Path, up: str | None = None, *, activated: bool = False) -> StyledScene:
     """Read a folder of results, or a file of Gaussians by the plugin of its suffix, and turn it to OpenCV's axes."""
     return in_axes("opencv", read_unturned(path, up, activated=activated))
@@ -199,8 +192,8 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         whole = read_unturned(folder, None)
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
-    if path.is_file() and is_scene_file(path):
-        scene = build(Format, path.suffix[1:].lower(), activated=activated).read(path)
+    if name := scene_format(path):
+        scene = build(Format, name, activated=activated).read(path)
         notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
         notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
         if not any(line.startswith(MADE_OF) for line in notes):
@@ -235,7 +228,7 @@ def _report(folder: Path) -> SavedReport:
 
 def made_at(path: Path) -> int | None:
     """The shorter side in pixels of the views of results in a folder, or beside a file; ``None`` if it is unknown."""
-    if path.is_dir():
+    if path.is_dir() and scene_format(path) is None:
         reports = [path / "report.json", *sorted(path.glob("*/report.json"))]
     else:  # a report beside a stranger's file may be of anything
         ours = any((path.parent / name).is_file() for name in ("scene.safetensors", "unstyled.safetensors"))

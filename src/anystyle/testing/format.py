@@ -25,7 +25,7 @@ def test_writes_one_file(plugin: Subject[Format]) -> None:
         first, second, taken = (Path(folder, f"{name}.scene") for name in ("first", "second", "taken"))
         plugin.instance.write(_scene(), first)
         plugin.instance.write(_scene(), second)
-        (taken.touch if plugin.cls.folder else taken.mkdir)()
+        (taken.touch if plugin.cls.index else taken.mkdir)()
         with pytest.raises((OSError, UserError)):
             plugin.instance.write(_scene(), taken)
         left = set(Path(folder).iterdir()) - {first, second, taken}
@@ -35,7 +35,8 @@ def test_writes_one_file(plugin: Subject[Format]) -> None:
 
 def test_reads_what_it_writes(plugin: Subject[Format]) -> None:
     """What is read shows the pictures that were written, to 30 dB, in the axes that the file says or its format has."""
-    scene, cls = _scene(), plugin.cls
+    cls = plugin.cls
+    scene = _scene(moved=not cls.shared)
     kept = scene.styles if cls.many_styles else scene.styles[-1:]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "file.scene")
@@ -65,7 +66,10 @@ def _picture(scene: Gaussians) -> Tensor:
         return TorchRenderer()(scene, cameras(1, 1, (24, 32))).color
 
 
-def _scene() -> StyledScene:
+def _scene(*, moved: bool = False) -> StyledScene:
+    """A scene in two styles: the first has other colours and, where ``moved``, fewer Gaussians in other places."""
     scene = gaussians(1, 50, 1)
     pale = replace(scene, harmonics=0.5 * scene.harmonics)
+    if moved:
+        pale = replace(pale, means=pale.means + 0.1).map(lambda tensor: tensor[:, :40])
     return StyledScene((("unstyled", pale), ("red", scene)), cameras(1, 2, (24, 32)), ("left", "right"), title="a test")

@@ -1,6 +1,6 @@
 """Gaussians, encoded scenes and renders."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -57,6 +57,10 @@ class Gaussians(Given):
 
         tensors = (self.means, self.rotations, self.scales, self.opacities, self.harmonics)
         ply.write(Splats(*(tensor[scene] for tensor in tensors)), Path(path))
+
+    def shares(self, other: "Gaussians", names: Iterable[str]) -> bool:
+        """Whether the attributes of these names are the same in both, bit for bit."""
+        return all(torch.equal(getattr(self, name), getattr(other, name)) for name in names)
 
     @classmethod
     def load(cls, path: str | Path) -> "Gaussians":
