@@ -51,7 +51,8 @@ class Mp4(Format):
         turns: Whole circles of ``orbit`` (default 1) and ``spiral`` (default 2); less than 1 is a part of a circle, and
             below 0 is the other way.
         baseline: Between the eyes in scene units; ``None`` is a thirtieth of the distance to what the cameras see.
-        fade: Whether what no photograph shows from about there fades to the background, instead of smearing.
+        fade: Whether what no photograph shows from about there fades to the background, instead of smearing; ``None``
+            is all but panoramas, of which little would be left.
     """
 
     needs_cameras = True
@@ -69,13 +70,13 @@ class Mp4(Format):
         stills: Annotated[int, Range(ge=0, le=1000)] = 0,
         turns: Annotated[float, Range(ge=-100, le=100)] | None = None,
         baseline: Positive | None = None,
-        fade: bool = True,
+        fade: bool | None = None,
     ) -> None:
         self.renderer, self.fps, self.scale, self.height, self.stills = renderer, fps, scale, height, stills
-        self.fade = fade
         self.projection = replace(PROJECTIONS[kind], baseline=baseline)
         if baseline is not None and not self.projection.stereo:
             raise UserError(f"video.baseline={baseline:g} has no meaning with video.kind={kind}; leave it out")
+        self.fade = not self.projection.degrees if fade is None else fade
         self.path = _path(path, turns)
         seconds = self.path.seconds if isinstance(self.path, Keyframes) else None
         duration = None if seconds is None else max(2, round(seconds * fps) + 1)
