@@ -17,6 +17,7 @@ from anystyle.pipeline import splats
 from anystyle.pipeline.export import export
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.saved import read_saved
 from anystyle.pipeline.splats import encode_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.types import Cameras, Gaussians, StyledScene
@@ -190,3 +191,15 @@ def test_results_are_restyled_at_the_size_they_were_made_at(tmp_path):
     (alone.parent / "report.json").write_text('{"size": "of something else"}')
     assert encode_saved(alone, stylizer, ViewOptions(), given, Stages()).views.size == (378, 378)
     assert encode_saved(alone, stylizer, ViewOptions(short_side=28), given, Stages()).views.size == (28, 28)
+
+
+def test_results_say_whether_cameras_are_those_of_photographs(tmp_path):
+    """What was photographed from elsewhere than cameras that were chosen is not known, however often it is restyled."""
+    wall().save(tmp_path / "scene.ply")
+    short = ["--text", "red dots", "views.short_side=28", "splat.cameras=2", "video.frames=2"]
+    stylize.main([str(tmp_path / "scene.ply"), *short, "--out", str(tmp_path / "chosen")])
+    stylize.main([str(tmp_path / "chosen"), *short, "--out", str(tmp_path / "again")])
+    assert not read_saved(tmp_path / "chosen").photographed and not read_saved(tmp_path / "again").photographed
+    transforms(tmp_path, photographed_wall(3)[1])
+    stylize.main([str(tmp_path / "scene.ply"), *short, "--out", str(tmp_path / "stored")])
+    assert read_saved(tmp_path / "stored").photographed

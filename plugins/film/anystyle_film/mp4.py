@@ -12,13 +12,14 @@ from torch import Tensor
 
 from anystyle.contracts import Format, Renderer
 from anystyle.errors import UserError, did_you_mean
+from anystyle.geometry.confidence import ViewConfidence
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
 from anystyle.io.video import write_video
 from anystyle.pipeline.load import default_device
 from anystyle.ranges import Positive, Range
 from anystyle.registry.build import build
-from anystyle.types import StyledScene
+from anystyle.types import Cameras, StyledScene
 from anystyle_film.metadata import mark_video, save_still
 from anystyle_film.paths import CameraPath, FilmedScene, orbit, smooth, spiral
 from anystyle_film.projection import Projection
@@ -49,6 +50,8 @@ class Mp4(Format):
         turns: Whole circles of ``orbit`` (default 1) and ``spiral`` (default 2); less than 1 is a part of a circle, and
             below 0 is the other way.
         baseline: Between the eyes in scene units; ``None`` is a thirtieth of the distance to what the cameras see.
+        fade: Whether what no photograph shows from about there fades to the background, instead of smearing; ``None``
+            is all but panoramas, of which little would be left.
     """
 
     needs_cameras = True
@@ -66,11 +69,13 @@ class Mp4(Format):
         stills: Annotated[int, Range(ge=0, le=1000)] = 0,
         turns: Annotated[float, Range(ge=-100, le=100)] | None = None,
         baseline: Positive | None = None,
+        fade: bool | None = None,
     ) -> None:
         self.renderer, self.fps, self.scale, self.height, self.stills = renderer, fps, scale, height, stills
         self.projection = replace(PROJECTIONS[kind], baseline=baseline)
         if baseline is not None and not self.projection.stereo:
             raise UserError(f"video.baseline={baseline:g} has no meaning with video.kind={kind}; leave it out")
+        self.fade = not self.projection.degrees if fade is None else fade
         self.path, seconds = _path(path, turns)
         duration = None if seconds is None else max(2, round(seconds * fps) + 1)
         if duration is not None and duration > MAX_FRAMES:
@@ -85,7 +90,7 @@ class Mp4(Format):
         if not scene.names:
             raise UserError(f"{path}: a film needs the cameras of the scene, and there are none in it or beside it")
         gaussians = scene.styles[-1][1].to(default_device())
-        filmed = FilmedScene(gaussians, scene.cameras.to(default_device()))
+        filmed = FilmedScene(gaussians, scene.cameras.to(default_device()), scene.photographed)
         size = self.projection.size(filmed.cameras, self.scale, self.height)
         count = min(self.stills, self.frames)
         kept = {int((index + 0.5) * self.frames / count) for index in range(count)}
@@ -104,11 +109,20 @@ class Mp4(Format):
     @torch.no_grad()
     def _frames(self, scene: FilmedScene, size: tuple[int, int]) -> Iterator[Float[Tensor, "3 H W"]]:
         renderer, path = self.renderer or build(Renderer, "auto"), self.path(scene, self.frames)
+        confidence = ViewConfidence.of(scene.gaussians, scene.cameras) if self.fade and scene.photographed else None
+        transparent = replace(scene.gaussians, opacities=torch.zeros_like(scene.gaussians.opacities))
+        background = renderer(transparent, path.select([0]).resized((1, 1))).color[0, 0]
+
+        def image(view: Cameras) -> Float[Tensor, "3 H W"]:
+            shown = renderer(scene.gaussians, view).color[0, 0]
+            if confidence is not None:
+                shown = torch.lerp(background, shown, confidence(view))
+            return shown.cpu()
+
         for index in range(path.intrinsics.shape[1]):
             views = self.projection.views(scene, path.select([index]), size)
             each = (views.select([view]) for view in range(views.intrinsics.shape[1]))
-            images = [renderer(scene.gaussians, view).color[0, 0].cpu() for view in each]
-            yield self.projection.frame(torch.stack(images), size)
+            yield self.projection.frame(torch.stack([image(view) for view in each]), size)
 
 
 def _path(path: str, turns: float | None) -> tuple[CameraPath, float | None]:

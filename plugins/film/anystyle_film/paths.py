@@ -28,10 +28,12 @@ class FilmedScene:
     Args:
         gaussians: A batch of one scene.
         cameras: At least one.
+        photographed: Whether cameras are those of photographs.
     """
 
     gaussians: Gaussians
     cameras: Cameras
+    photographed: bool = True
 
     @property
     def poses(self) -> Float[Tensor, "V 4 4"]:

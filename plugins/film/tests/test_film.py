@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.video import opened, write_video
 from anystyle.registry.build import build
+from anystyle.renderers.auto import AutoRenderer
 from anystyle.testing import asserts, inputs
 from anystyle.testing.inputs import images
 from anystyle.types import Cameras, Gaussians, StyledScene
@@ -283,3 +285,31 @@ def test_frames_have_even_sides_and_are_made_of_views_without_seams(projection):
     asserts.cameras(views, views.size)
     frame = projection.frame(torch.full((views.intrinsics.shape[1], 3, *views.size), 0.5), size)
     asserts.close(frame, torch.full((3, *size), 0.5), "a frame of grey images")
+
+
+def test_beyond_what_was_photographed_a_film_fades_to_the_background_unless_told_not_to(tmp_path):
+    """A ball that was photographed from one side within 20 degrees, from keyframes around it."""
+    ball = sphere(3000, lambda direction: 0.2 + 0 * direction)
+    ball = replace(ball, means=0.4 * ball.means, scales=0.4 * ball.scales)
+
+    def seen_from(*degrees):
+        turn = torch.tensor(degrees, dtype=torch.float64).deg2rad()
+        eyes = 2 * torch.stack([turn.sin(), torch.zeros_like(turn), -turn.cos()], dim=1)
+        return look_at(eyes, torch.zeros_like(eyes))
+
+    turns, known = (0, 5, 10, 20, 35, 40, 45, 60, 120, 180), 4
+    keys = [{"time": time, "world_from_camera": pose.tolist()} for time, pose in enumerate(seen_from(*turns))]
+    (tmp_path / "around.json").write_text(json.dumps({"keyframes": keys}))
+    scene = FilmedScene(ball, cameras(seen_from(0, 10, 20)))
+    pictures = {}
+    for fade, background in ((True, 1.0), (False, 1.0), (True, 0.0)):
+        renderer = AutoRenderer(background=(background,) * 3)
+        film = Mp4(renderer=renderer, path=str(tmp_path / "around.json"), fps=1, fade=fade)
+        pictures[fade, background] = torch.stack(list(film._frames(scene, scene.cameras.size)))
+    faded, whole = pictures[True, 1.0], pictures[False, 1.0]
+    assert (faded[:known] == whole[:known]).all() and (whole.amin((1, 2, 3)) < 0.3).all()
+    ink = (1 - faded).mean((1, 2, 3))
+    assert (ink[known - 1 : -3].diff() < 0).all() and (ink[-3:] == 0).all()
+    assert (pictures[True, 0.0][-3:] == 0).all()
+    chosen = replace(scene, photographed=False)
+    assert (torch.stack(list(film._frames(chosen, chosen.cameras.size)))[-1] > 0.1).any()

@@ -18,6 +18,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Format
+from anystyle.geometry import confidence
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.io.atomic import atomic_path
@@ -71,6 +72,7 @@ def page_of(
         "first": len(entries) - 1,
         "opening": best_view(splats.means, splats.opacities, cameras),
         "cameras": _cameras(cameras),
+        "fade": _fade(scene) if scene.names and scene.photographed else None,
         "streamed": not data,
     }
     for (title, _), entry in zip(scene.styles, entries, strict=True):
@@ -111,6 +113,15 @@ def _cameras(cameras: Cameras) -> list[dict[str, object]]:
         }
         for pose, matrix in zip(poses, intrinsics, strict=True)
     ]
+
+
+def _fade(scene: StyledScene) -> dict[str, float]:
+    """What ``page.js`` computes :class:`~anystyle.geometry.confidence.ViewConfidence` with."""
+    rows, columns = confidence.CELLS
+    spacing = confidence.ViewConfidence.of(scene.styles[0][1], scene.cameras).spacing
+    names = ("points", "opaque", "margin", "behind", "near", "far", "beyond")
+    shared = {name: getattr(confidence, name.upper()) for name in names}
+    return {**shared, "spacing": spacing, "rows": rows, "columns": columns}
 
 
 def _small(picture: Image.Image) -> str:

@@ -10,6 +10,8 @@ import pytest
 import torch
 from PIL import Image, ImageOps
 
+from anystyle.geometry.cameras import look_at
+from anystyle.geometry.confidence import CELLS, ViewConfidence
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.transforms import matrix_from_vector
 from anystyle.renderers.torch import TorchRenderer
@@ -260,3 +262,40 @@ def test_it_opens_where_most_is_seen_that_others_see_too():
         order = torch.arange(6).roll(shift)
         cameras = Cameras(poses[order][None], intrinsics, (75, 100))
         assert list(places)[order[best_view(means, torch.ones(len(means)), cameras)]] == "whole"
+
+
+def test_what_no_photograph_shows_from_about_there_is_veiled_as_films_fade_it(page, tmp_path):
+    seen, confidence = cameras(), ViewConfidence.of(scene(1, COUNT), cameras())
+    page.evaluate("document.body.classList.add('bare')")
+    page.set_viewport_size({"width": SIZE[1], "height": SIZE[0]})
+    page.emulate_media(color_scheme="light")
+    veil = """() => anystyle.stands().then(() => { const { width, height } = document.getElementById('veil');
+        return [...document.getElementById('veil').getContext('2d').getImageData(0, 0, width, height).data]; })"""
+    for view in range(2):
+        page.evaluate(f"anystyle.go({view})")
+        assert not any(page.evaluate(veil)[3::4])
+    place = "(numbers) => { anystyle.camera.place = numbers; return anystyle.stands(); }"
+    veiled = []
+    for eye in ((0.5, 0.2, 0.1), (1.1, 0.2, 0.5), (3.0, -1.0, 3.0)):  # the scene is at 3.3
+        pose = look_at(torch.tensor(eye), torch.tensor([0.0, 0.0, 3.3]))
+        page.evaluate("anystyle.choose(0).then(() => anystyle.go(0))")
+        page.evaluate(place, [*pose[:3, 3].tolist(), *pose[:3, 1].tolist(), *pose[:3, 2].tolist(), 1.0])
+        shown = np.reshape(page.evaluate(veil), (*CELLS, 4))
+        expected = confidence(Cameras(pose[None, None], seen.intrinsics[:, :1], SIZE).resized(CELLS))[0]
+        assert np.abs(255 * (1 - expected.numpy()) - shown[..., 3]).mean() < 6
+        veiled.append(shown[..., 3].mean())
+    assert veiled[0] < 50 < veiled[1] < 240 < veiled[2]
+    faded = canvas(page, tmp_path / "faded.png")
+    page.keyboard.press("v")
+    whole = canvas(page, tmp_path / "whole.png")
+    page.keyboard.press("v")
+    assert faded.min() > whole.min() + 0.2
+    np.testing.assert_array_equal(canvas(page, tmp_path / "again.png"), faded)
+
+
+def test_nothing_is_veiled_of_a_scene_whose_cameras_are_not_those_of_photographs(tmp_path):
+    styles = (("unstyled", scene(1, 50)),)
+    named = StyledScene(styles, cameras(), ("front", "side"), photographed=False)
+    for name, given in (("chosen", named), ("none", StyledScene(styles))):
+        Html().write(given, tmp_path / name)
+        assert '"fade": null' in (tmp_path / name).read_text(encoding="utf-8")

@@ -261,6 +261,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             given = tuple(styles.items()), self.encoded.cameras, tuple(self.encoded.names)
             notes, page_title = session.notes_on(session.styles()), Path(self._command_words[0]).stem
             shared = {"offset": self.encoded.offset, "pictures": session.pictures()}
+            shared["photographed"] = self.encoded.photographed
             export_styles(StyledScene(*given, notes, page_title, **shared), path, "html")
         else:
             lines = "\n".join((title, *session.notes_on(session.current.styles)))

@@ -24,6 +24,7 @@ from anystyle.methods.colors import colors_alone
 from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.read import ReadViews
+from anystyle.pipeline.saved import CHOSEN
 from anystyle.pipeline.stages import Stages
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
@@ -110,6 +111,11 @@ class EncodedCapture:
     def cameras(self) -> Cameras:
         """The cameras of the input views, in the capture's frame."""
         return cameras_of(self.groups)
+
+    @property
+    def photographed(self) -> bool:
+        """Whether views are photographs, or those that given Gaussians are known to be of."""
+        return self.reconstruction.get("cameras") != CHOSEN
 
     @property
     def names(self) -> list[str]:

@@ -133,7 +133,8 @@ class Result:
         names, followed = encoded.targets or (encoded.names, self.cameras)
         if encoded.targets is not None:
             self._write_renders(folder / "targets", names, followed)
-        film = StyledScene(((self.style.title, gaussians),), followed, tuple(names))
+        seen = encoded.photographed and encoded.targets is None
+        film = StyledScene(((self.style.title, gaussians),), followed, tuple(names), photographed=seen)
         results.video.write(film, folder / "video.mp4")
         cameras, sources = encoded.cameras.to("cpu"), encoded.sources
         write_cameras(folder / "cameras.json", cameras, sources, encoded.offset, encoded.scene_from_known)
@@ -307,7 +308,9 @@ class Results:
         notes, names = self.notes(embedded), tuple(self.encoded.names)
         lines, encoded = (title, *notes) if title else notes, self.encoded
         shared, pictures = (encoded.cameras, names, lines, title), _pictures(embedded)
-        return StyledScene(tuple(styles), *shared, offset=encoded.offset, pictures=pictures)
+        return StyledScene(
+            tuple(styles), *shared, offset=encoded.offset, pictures=pictures, photographed=encoded.photographed
+        )
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
         """Write ``sheet.png``: photographs, or of a given scene the renders that are its views, and some columns."""

@@ -35,6 +35,8 @@ from anystyle.vision import weights
 UNSTYLED = "unstyled"
 PICTURE = "style.jpg"
 """A small picture of the style, where it is an image."""
+CHOSEN = "chosen around the scene"
+"""What a report says of cameras that are not those of photographs."""
 OWN = ".safetensors"
 """The suffix of what :func:`save_gaussians` writes."""
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
@@ -70,6 +72,7 @@ class SavedReport:
     style: str | list[str] = ""
     gaussians: Count = 0
     views: Count = 0
+    reconstruction: dict[str, object] = field(default_factory=dict)
     size: tuple[_Side, _Side] | None = None
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -219,7 +222,9 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     notes = (*lines, *(MADE_OF + json.dumps(table) for table in whole.provenance))
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
     pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
-    return StyledScene(tuple(styles), cameras, names, notes, offset=whole.offset, pictures=pictures)
+    photographed = report.reconstruction.get("cameras") != CHOSEN
+    shared = {"offset": whole.offset, "pictures": pictures, "photographed": photographed}
+    return StyledScene(tuple(styles), cameras, names, notes, **shared)
 
 
 def _report(folder: Path) -> SavedReport:

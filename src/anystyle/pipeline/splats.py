@@ -19,7 +19,7 @@ from anystyle.methods.colors import KEPT
 from anystyle.pipeline.encode import EncodedCapture, Group, available, encoder, scene_report
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
-from anystyle.pipeline.saved import cameras_beside, made_at, read_unturned, saved_cameras, unstyled_of
+from anystyle.pipeline.saved import CHOSEN, cameras_beside, made_at, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, SourceImage, StyledScene, Views
@@ -89,7 +89,7 @@ def cameras_of(
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(covering(name, (side, side), (side, side)) for name in names)
-        return around(unstyled_of(saved), options.cameras, side), sources, "chosen around the scene"
+        return around(unstyled_of(saved), options.cameras, side), sources, CHOSEN
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
     whole = stored[names[chosen[0]]].size
@@ -97,7 +97,7 @@ def cameras_of(
     called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
     sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
-    return Cameras.cat(cameras, dim=1), sources, "stored beside it"
+    return Cameras.cat(cameras, dim=1), sources, "stored beside it" if saved.photographed else CHOSEN
 
 
 def around(gaussians: Gaussians, number: int, side: int) -> Cameras:

@@ -139,6 +139,7 @@ class StyledScene:
         up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
         offset: What was taken off the positions of Gaussians and cameras, in these axes.
         pictures: Small images of styles that were given as one, by the titles of these.
+        photographed: Whether cameras are those of photographs, and not chosen around a scene.
     """
 
     styles: tuple[tuple[str, Gaussians], ...]
@@ -149,6 +150,7 @@ class StyledScene:
     up: str = "opencv"
     offset: Offset = NEAR
     pictures: Mapping[str, Image.Image] = field(default_factory=dict)
+    photographed: bool = True
 
     def splats(self, style: int = -1) -> Splats:
         """The tensors of the scene in one of its styles."""

@@ -299,14 +299,11 @@ class Renderer {
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(...background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    const { rotation: r, translation } = camera.pose();
-    // The photograph fills the window, unless more than two sevenths of a side were cut off: around it little was seen.
-    const [small, large] = [width / camera.size[0], height / camera.size[1]].sort((a, b) => a - b), fit = Math.min(large, 1.4 * small);
+    const { rotation: r, translation } = camera.pose(), { focal, center, fit } = camera.onto(width, height);
     gl.uniformMatrix3fv(this.uniform("rotation"), true, r.flat());
     gl.uniform3fv(this.uniform("translation"), translation);
-    gl.uniform2f(this.uniform("focal"), camera.focal[0] * fit, camera.focal[1] * fit);
-    gl.uniform2f(this.uniform("center"), width / 2 + (camera.center[0] - camera.size[0] / 2) * fit,
-      height / 2 + (camera.center[1] - camera.size[1] / 2) * fit);
+    gl.uniform2f(this.uniform("focal"), ...focal);
+    gl.uniform2f(this.uniform("center"), ...center);
     gl.uniform2f(this.uniform("size"), width, height);
     // The low-pass filter of a pixel of the photographs, so that no gaps open where the window is larger.
     gl.uniform1f(this.uniform("blur"), 0.3 * Math.max(1, fit) ** 2);
@@ -371,6 +368,13 @@ class Camera {
     return { rotation: this.axes, translation: this.axes.map((axis) => -dot(axis, this.position)) };
   }
 
+  // The photograph fills the window, unless more than two sevenths of a side were cut off: around it little was seen.
+  onto(width, height) {
+    const [small, large] = [width / this.size[0], height / this.size[1]].sort((a, b) => a - b), fit = Math.min(large, 1.4 * small);
+    const center = [width, height].map((side, k) => side / 2 + (this.center[k] - this.size[k] / 2) * fit);
+    return { position: this.position, axes: this.axes, focal: this.focal.map((one) => one * fit), center, size: [width, height], fit };
+  }
+
   turn(x, y) {
     const pivot = plus(this.position, this.axes[2], this.distance);
     for (const [axis, angle] of [[this.down, -x], [this.axes[0], y]]) {
@@ -411,6 +415,62 @@ class Camera {
     const pivot = plus(this.position, this.axes[2], this.distance);
     this.distance = Math.max(1e-3, this.distance / factor);
     this.position = plus(pivot, this.axes[2], -this.distance);
+  }
+}
+
+// ---- What no photograph shows from about there fades, as geometry/confidence.py of anystyle has it ---------------------
+
+class Veil {
+  constructor({ n, means, geometries }) {
+    const { points, opaque, margin, rows, columns, near, far } = scene.fade, opacity = (i) => geometries[0][12 * i + 3];
+    const all = Array.from({ length: n }, (_, i) => i).filter((i) => opacity(i) > opaque), step = Math.ceil(all.length / points);
+    this.points = all.filter((_, k) => k % step === 0).map((i) => means.slice(3 * i, 3 * i + 3));
+    this.directions = scene.cameras.map((one) => Float32Array.from(this.points.flatMap(
+      (point) => (this.place(point, one, margin) ? unit(plus(one.position, point, -1)) : [0, 0, 0]),
+    )));
+    const places = Array.from({ length: rows * columns }, (_, k) => [Math.floor(k / columns), k % columns]);
+    this.weights = places.map(([row, column]) => places.map(([y, x]) => {
+      const apart = ((row - y) ** 2 + (column - x) ** 2) / 2;
+      return Math.exp(-apart / near ** 2) + 1e-6 * Math.exp(-apart / far ** 2);
+    }));
+  }
+
+  // Fractions of the picture from the left and from above, and the depth, if it is in there.
+  place(point, { position, axes, focal, center, size }, margin = 0) {
+    const away = plus(point, position, -1), depth = dot(away, axes[2]);
+    const at = [0, 1].map((k) => (focal[k] * dot(away, axes[k]) / depth + center[k]) / size[k]);
+    return depth > 0 && at.every((one) => one >= -margin && one < 1 + margin) ? [...at, depth] : null;
+  }
+
+  confidence(view) {
+    const { rows, columns, behind, spacing, beyond } = scene.fade, seen = [], nearest = Array(rows * columns).fill(Infinity);
+    this.points.forEach((point, i) => {
+      const place = this.place(point, view);
+      if (!place) return;
+      const cell = Math.floor(place[1] * rows) * columns + Math.floor(place[0] * columns);
+      nearest[cell] = Math.min(nearest[cell], place[2]);
+      seen.push([i, cell, place[2]]);
+    });
+    const count = nearest.map(() => 0), total = nearest.map(() => 0);
+    for (const [i, cell, depth] of seen) {
+      if (depth > behind * nearest[cell]) continue;
+      const [x, y, z] = unit(plus(view.position, this.points[i], -1));
+      let cosine = 0;
+      for (const one of this.directions) cosine = Math.max(cosine, x * one[3 * i] + y * one[3 * i + 1] + z * one[3 * i + 2]);
+      const share = Math.min(Math.max((Math.acos(Math.min(cosine, 1)) - spacing) / beyond, 0), 1);
+      count[cell] += 1;
+      total[cell] += 1 - share * share * (3 - 2 * share);
+    }
+    return this.weights.map((row) => {
+      let sum = 0, mean = 0;
+      row.forEach((weight, k) => { if (count[k]) { sum += weight; mean += weight * total[k] / count[k]; } });
+      return sum ? mean / sum : 1;
+    });
+  }
+
+  draw(view, ground) {
+    const { rows, columns } = scene.fade, texels = this.confidence(view).flatMap((one) => [...ground, 1 - one].map((part) => 255 * part));
+    element("veil").getContext("2d").putImageData(new ImageData(Uint8ClampedArray.from(texels), columns, rows), 0, 0);
   }
 }
 
@@ -473,7 +533,8 @@ async function main() {
   const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
   if (!gl) throw new Error("This browser shows no WebGL 2, which the scene needs.");
   const source = await (scene.streamed ? stream(gl) : unpack());
-  const renderer = new Renderer(gl, source.rows), camera = new Camera(source.first.means);
+  const renderer = new Renderer(gl, source.rows), camera = new Camera(source.first.means), veil = scene.fade && new Veil(source.first);
+  if (veil) Object.assign(element("veil"), { width: scene.fade.columns, height: scene.fade.rows, hidden: false });
   const worker = new Worker(URL.createObjectURL(new Blob([`(${sorter})()`], { type: "text/javascript" })));
   const state = { style: scene.first, other: 0, chosen: scene.first, compare: false, divider: 0.5, playing: null, cycling: false };
   let wanted = null, sorting = false, waiting = false, settled = [];
@@ -495,6 +556,7 @@ async function main() {
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const { compare, divider, other, style } = state;
     renderer.draw(camera, compare ? other : style, style, compare ? divider : 0, background());
+    if (!element("veil").hidden) veil.draw(camera.onto(width, height), background());
     if (!sorting && !wanted) settled.splice(0).forEach((resolve) => resolve());
   };
   const redraw = () => { if (!waiting) { waiting = true; requestAnimationFrame(draw); } };
@@ -654,10 +716,11 @@ async function main() {
   element("next").onclick = () => go(camera.view + 1);
   element("about").onclick = about;
   element("caption").onclick = (event) => { if (event.target === element("caption")) event.target.close(); }; // beside it
+  const fade = () => { element("veil").hidden = !veil || !element("veil").hidden; redraw(); };
   const key = (id) => () => element(id).disabled || element(id).click();
   listen(camera, changed, () => play(false), {
     "[": key("previous"), "]": key("next"), r: () => go(scene.opening), c: key("compare"), p: key("play"), t: key("cycle"), f: key("full"),
-    l: key("link"), "?": about, h: () => document.body.classList.toggle("bare"), style: pick,
+    l: key("link"), v: fade, "?": about, h: () => document.body.classList.toggle("bare"), style: pick,
   });
   addEventListener("resize", redraw);
   addEventListener("hashchange", restore);
