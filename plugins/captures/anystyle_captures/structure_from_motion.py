@@ -1,12 +1,12 @@
 """Cameras by structure from motion, and the photographs as views with them."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, zip_longest
+from itertools import chain
 from math import fsum
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -17,10 +17,20 @@ from anystyle.data.folder import as_views, common_size, cover, require_views, te
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
 from anystyle.types import Cameras, OnProgress, Original, no_progress
+from anystyle.vision import weights
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.frames import shared_frame
-from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Photograph, SearchOptions, SimpleRadial, SparseModel
-from anystyle_captures.sfm.trust import judge
+from anystyle_captures.sfm.model import (
+    LEARNED,
+    LEARNED_NETWORKS,
+    MIN_VIEWS,
+    SEARCHES,
+    Photograph,
+    SearchOptions,
+    SimpleRadial,
+    SparseModel,
+)
+from anystyle_captures.sfm.trust import extends, judge, unconfirmed
 
 logger = logging.getLogger(__name__)
 
@@ -35,6 +45,7 @@ class StructureFromMotion(PoseEstimator):
     min_views = MIN_VIEWS
     longest = 1600
     reconstruction = "fit"
+    searches: ClassVar[Sequence[SearchOptions]] = SEARCHES
 
     def __init__(self, *, keep: bool = True) -> None:
         self.keep = keep
@@ -65,6 +76,7 @@ class StructureFromMotion(PoseEstimator):
         result = find_cameras(
             photographs,
             ordered=all(original.path is None for original in originals),
+            searches=self.searches,
             threads=torch.get_num_threads(),
             keep=self.keep,
             on_progress=on_progress,
@@ -103,6 +115,24 @@ class StructureFromMotion(PoseEstimator):
         )
 
 
+class LightGlueStructureFromMotion(StructureFromMotion):
+    """As ``sfm``, and where SIFT leaves photographs out, a further search by ALIKED features that LightGlue matches.
+
+    Args:
+        keep: Whether the result is cached.
+
+    Raises:
+        MissingWeights: The extra ``lightglue`` is not installed.
+    """
+
+    searches = (*SEARCHES, LEARNED)
+
+    def __init__(self, *, keep: bool = True) -> None:
+        super().__init__(keep=keep)
+        for name in LEARNED_NETWORKS:  # before the other searches, which take long
+            weights.find(name)
+
+
 @dataclass(frozen=True)
 class FoundCameras:
     """The cameras of one capture."""
@@ -121,12 +151,13 @@ def find_cameras(
     keep: bool = False,
     on_progress: OnProgress = no_progress,
 ) -> FoundCameras:
-    """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
+    """Find where photographs of one rigid scene were taken, by their features and COLMAP's two mappers.
 
-    Further searches follow while photographs lack a confirmed camera and have more pixels than were searched. One whose
-    verdict is good counts, among these the one that finds most cameras. The same photographs and searches give the same
-    cameras, bit for bit, on any number of threads and in whatever order they are given, unless they are ordered. A
-    failure raises nothing: the verdict states it.
+    Further searches follow while photographs lack a confirmed camera and are not enlarged for it, by the same features
+    only where there are more pixels than were searched. One whose verdict is good counts, among these the one that
+    finds most cameras. Cameras by learned features are at most doubtful, and count before good ones only where they
+    extend them. The same photographs and searches give the same cameras, bit for bit, on any number of threads and in
+    whatever order they are given, unless they are ordered. A failure raises nothing: the verdict states it.
     """
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):
@@ -141,18 +172,12 @@ def find_cameras(
         except ImportError as error:
             needed = "pip install pycolmap (for Linux and Windows on x86-64, macOS on arm64)"
             raise ImportError(f"cameras from photos need pycolmap: {needed}") from error
-        found: list[tuple[SparseModel, Verdict]] = []
-        longer = max(max(photograph.size) for photograph in arranged)
-        for options, further in zip_longest(searches, searches[1:]):
-            found.append(judge(*search(arranged, options, ordered=ordered, threads=threads, on_progress=on_progress)))
-            model, verdict = found[-1]
-            registered = int(model.registered.sum())
-            complete = registered == len(names) and verdict.trust == "good"
-            if complete or len(names) < MIN_VIEWS or longer <= options.max_side or further is None:
-                break
-            given = registered, len(names), options.max_side, min(longer, further.max_side)
-            logger.info("%d of %d photographs have a camera at %d pixels; searching again at %d", *given)
-        model, verdict = max(found, key=lambda one: (one[1].trust == "good", one[0].registered.sum()))
+
+        def judged(options: SearchOptions) -> tuple[SparseModel, Verdict]:
+            return judge(*search(arranged, options, ordered=ordered, threads=threads, on_progress=on_progress))
+
+        best = best_search(arranged, searches, judged)
+        model, verdict = best.model, best.verdict
         arrays = {name: torch.from_numpy(array) for name, array in vars(model).items()}
         return {"model": arrays, "verdict": {**vars(verdict), "measures": dict(verdict.measures)}}
 
@@ -163,6 +188,56 @@ def find_cameras(
     values, from_cache = cached("cameras", key, compute)
     model = SparseModel(**{name: tensor.numpy() for name, tensor in values["model"].items()})
     return FoundCameras(model.reordered(order), Verdict(**values["verdict"]), from_cache)
+
+
+class Searched(NamedTuple):
+    """What a search found, by which features, and whether it counts before others with more cameras."""
+
+    by: str
+    good: bool
+    model: SparseModel
+    verdict: Verdict
+
+    @property
+    def registered(self) -> int:
+        """Photographs with a camera."""
+        return int(self.model.registered.sum())
+
+    def rank(self) -> tuple[bool, int]:
+        """What counts first is larger."""
+        return self.good, self.registered
+
+
+def best_search(
+    photographs: Sequence[Photograph],
+    searches: Sequence[SearchOptions],
+    judged: Callable[[SearchOptions], tuple[SparseModel, Verdict]],
+) -> Searched:
+    """Search until all photographs have a confirmed camera, and choose what counts; ``judged`` does one search."""
+    longer, count = max(max(photograph.size) for photograph in photographs), len(photographs)
+    found: list[Searched] = []
+    for previous, options in zip([None, *searches], searches, strict=False):
+        same = previous is not None and previous.features == options.features and longer <= previous.max_side
+        if same or (found and longer < options.min_side):
+            continue  # more features of the same pixels, or of enlarged ones, find wrong places
+        by = options.described(longer)
+        if found:
+            before = found[-1].registered, count, found[-1].by
+            logger.info("%d of %d photographs have a camera by %s; searching again by %s", *before, by)
+        model, verdict = judged(options)
+        good = verdict.trust == "good"
+        if options.features == "aliked":
+            known = max(found, key=Searched.rank).model if found else SparseModel.empty(count)
+            good = good and extends(model, known)
+            rest = model.registered & ~known.registered if good else model.registered
+            verdict = unconfirmed(verdict, [photographs[view].name for view in np.flatnonzero(rest).tolist()])
+        found.append(Searched(by, good, model, verdict))
+        if count < MIN_VIEWS or (model.registered.all() and good):
+            break
+    best = max(found, key=Searched.rank)
+    if len(found) > 1:
+        logger.info("the cameras of %d of %d photographs are by %s", best.registered, count, best.by)
+    return best
 
 
 def _undistorted(lens: SimpleRadial, size: tuple[int, int], picture: Image.Image) -> Image.Image:

@@ -3,6 +3,7 @@
 Pillow is imported before pycolmap, whose zlib would otherwise serve Pillow and crash it.
 """
 
+import logging
 import signal
 import tempfile
 import threading
@@ -10,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from itertools import chain, repeat
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -20,6 +22,7 @@ import pycolmap  # isort: skip
 from anystyle.types import OnProgress, Progress, no_progress
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
+    PREVIEW,
     Photograph,
     SearchOptions,
     SparseModel,
@@ -29,6 +32,7 @@ from anystyle_captures.sfm.model import (
     pairs_to_match,
 )
 
+logger = logging.getLogger(__name__)
 if threading.current_thread() is threading.main_thread():
     # Importing pycolmap replaces signal handlers to print a native stack; restore Python's own.
     for _number in (signal.SIGTERM, signal.SIGINT):
@@ -39,6 +43,8 @@ MAPPING_THREADS = 1
 """The solver's sums depend on it, and cameras must not depend on the machine; mapping is a tenth of the time."""
 CHUNK = 16
 """Pairs between two reports of progress."""
+SECONDS_A_PAIR = 1.5
+"""What LightGlue takes on one core: between 0.5 and 2.5, less for pairs that show the same."""
 
 
 def search(
@@ -86,65 +92,19 @@ def match(
     """
     pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
     sizes = [_search_size(photograph.size, options) for photograph in photographs]
-    path, count = folder / "database.db", len(photographs)
-    # COLMAP shares a camera among the images of a folder; images are named by their index.
-    lenses = list(dict.fromkeys((photograph.lens, photograph.size) for photograph in photographs))
-    names = [f"{lenses.index((one.lens, one.size))}/{index:06d}.pgm" for index, one in enumerate(photographs)]
-    masks = folder / "masks"
-    for name, photograph, (height, width) in zip(names, photographs, sizes, strict=True):
-        (folder / name).parent.mkdir(exist_ok=True)
-        gray = Image.fromarray(photograph.pixels).convert("L")
-        resized = gray if gray.size == (width, height) else gray.resize((width, height), Image.Resampling.LANCZOS)
-        resized.save(folder / name)
-        if any(one.mask is not None for one in photographs):  # COLMAP leaves out what has none, where one has
-            mask = np.full(photograph.size, 255, np.uint8) if photograph.mask is None else photograph.mask
-            mask = np.asarray(Image.fromarray(mask).resize((width, height)))
-            (masks / name).parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(masks / f"{name}.png")
-    reader = pycolmap.ImageReaderOptions()
-    if masks.is_dir():
-        reader.mask_path = masks
-    reader.default_focal_length_factor = DEFAULT_FOCAL
-    pycolmap.Database.open(path).close()
-    pycolmap.import_images(path, folder, pycolmap.CameraMode.PER_FOLDER, names, reader)
-    extraction = pycolmap.FeatureExtractionOptions()
-    extraction.num_threads, extraction.use_gpu = threads, False
-    extraction.sift.max_num_features, extraction.sift.peak_threshold = options.num_features, options.min_contrast
-    with closing(pycolmap.Database.open(path)) as database:
-        ids = {image.name: image.image_id for image in database.read_all_images()}
-        for name, photograph, (_, width) in zip(names, photographs, sizes, strict=True):
-            if photograph.focal_length is not None:
-                camera = database.read_camera(database.read_image(ids[name]).camera_id)
-                camera.focal_length = photograph.focal_length * width / photograph.size[1]
-                camera.has_prior_focal_length = True
-                database.update_camera(camera)
-    for start in range(0, count, threads):
-        batch = names[start : start + threads]
-        pycolmap.extract_features(
-            path, folder, batch, pycolmap.CameraMode.PER_FOLDER, reader, extraction, pycolmap.Device.cpu
-        )
-        on_progress(Progress.count("features", min(start + threads, count), count))
+    path, learned = folder / "database.db", options.features == "aliked"
+    names = _import(folder, photographs, sizes, "RGB" if learned else "L")
 
-    with closing(pycolmap.Database.open(path)) as database:
-        keypoints = [database.read_keypoints(ids[name]) for name in names]
-        descriptors = [database.read_descriptors(ids[name]).data for name in names]
-    if pairs is None:
-        previews = [largest_features(*features) for features in zip(keypoints, descriptors, strict=True)]
-        pairs = pairs_to_match(previews, ordered)
-    matching, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.ImportedPairingOptions()
-    matching.num_threads, matching.use_gpu = threads, False
-    pairing.match_list_path = folder / "pairs.txt"
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = options.seed
-    for start in range(0, len(pairs), CHUNK):
-        batch = pairs[start : start + CHUNK]
-        pairing.match_list_path.write_text("".join(f"{names[first]} {names[second]}\n" for first, second in batch))
-        pycolmap.match_image_pairs(path, matching, pairing, verification, pycolmap.Device.cpu)
-        on_progress(Progress.count("matches", min(start + CHUNK, len(pairs)), len(pairs)))
+    def choose(previews: Sequence[Float[np.ndarray, "_ 128"]]) -> Sequence[tuple[int, int]]:
+        return pairs_to_match(previews, ordered) if pairs is None else pairs
 
-    index = {ids[name]: view for view, name in enumerate(names)}
+    (_match_aliked if learned else _match_sift)(folder, names, options, choose, threads, on_progress)
+
     verified = []
     with closing(pycolmap.Database.open(path)) as database:
+        ids = _ids(database, names)
+        keypoints = [database.read_keypoints(image) for image in ids]
+        index = {image: view for view, image in enumerate(ids)}
         for pair_id, geometry in zip(*database.read_two_view_geometries(), strict=True):
             first, second = (index[image] for image in pycolmap.pair_id_to_image_pair(pair_id))
             matches = geometry.inlier_matches
@@ -153,6 +113,125 @@ def match(
                 verified.append(VerifiedPair(first, second, np.stack(pixels).astype(np.float64)))
     verified.sort(key=lambda pair: (pair.first, pair.second))
     return ViewGraph([one.name for one in photographs], [len(one) for one in keypoints], sizes, verified)
+
+
+def _import(
+    folder: Path, photographs: Sequence[Photograph], sizes: Sequence[tuple[int, int]], mode: Literal["L", "RGB"]
+) -> list[str]:
+    """Write photographs in these sizes, and masks, and enter them with their lenses; the names of the files."""
+    path = folder / "database.db"
+    # COLMAP shares a camera among the images of a folder; images are named by their index.
+    lenses = list(dict.fromkeys((photograph.lens, photograph.size) for photograph in photographs))
+    names = [f"{lenses.index((one.lens, one.size))}/{index:06d}.pnm" for index, one in enumerate(photographs)]
+    for name, photograph, (height, width) in zip(names, photographs, sizes, strict=True):
+        (folder / name).parent.mkdir(exist_ok=True)
+        image = Image.fromarray(photograph.pixels).convert(mode)
+        resized = image if image.size == (width, height) else image.resize((width, height), Image.Resampling.LANCZOS)
+        resized.save(folder / name)
+        if any(one.mask is not None for one in photographs):  # COLMAP leaves out what has none, where one has
+            mask = np.full(photograph.size, 255, np.uint8) if photograph.mask is None else photograph.mask
+            mask = np.asarray(Image.fromarray(mask).resize((width, height)))
+            _mask_of(folder, name).parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(_mask_of(folder, name))
+    pycolmap.Database.open(path).close()
+    pycolmap.import_images(path, folder, pycolmap.CameraMode.PER_FOLDER, names, _reader(folder))
+    with closing(pycolmap.Database.open(path)) as database:
+        for image, photograph, (_, width) in zip(_ids(database, names), photographs, sizes, strict=True):
+            if photograph.focal_length is not None:
+                camera = database.read_camera(database.read_image(image).camera_id)
+                camera.focal_length = photograph.focal_length * width / photograph.size[1]
+                camera.has_prior_focal_length = True
+                database.update_camera(camera)
+    return names
+
+
+def _mask_of(folder: Path, name: str) -> Path:
+    return folder / "masks" / f"{name}.png"
+
+
+def _reader(folder: Path) -> pycolmap.ImageReaderOptions:
+    reader = pycolmap.ImageReaderOptions()
+    if (folder / "masks").is_dir():
+        reader.mask_path = folder / "masks"
+    reader.default_focal_length_factor = DEFAULT_FOCAL
+    return reader
+
+
+def _ids(database: pycolmap.Database, names: Sequence[str]) -> list[int]:
+    ids = {image.name: image.image_id for image in database.read_all_images()}
+    return [ids[name] for name in names]
+
+
+def _verification(options: SearchOptions) -> pycolmap.TwoViewGeometryOptions:
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = options.seed
+    return verification
+
+
+def _write_pairs(folder: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> Path:
+    path = folder / "pairs.txt"
+    path.write_text("".join(f"{names[first]} {names[second]}\n" for first, second in pairs))
+    return path
+
+
+Choose = Callable[[Sequence[Float[np.ndarray, "_ 128"]]], Sequence[tuple[int, int]]]
+"""From descriptors of each photograph's most distinct features to the pairs that are worth matching."""
+
+
+def _match_sift(
+    folder: Path, names: Sequence[str], options: SearchOptions, choose: Choose, threads: int, on_progress: OnProgress
+) -> None:
+    """SIFT features, and verified matches that are nearer than others by a ratio, into the database."""
+    path, count = folder / "database.db", len(names)
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.num_threads, extraction.use_gpu = threads, False
+    extraction.sift.max_num_features, extraction.sift.peak_threshold = options.num_features, options.min_contrast
+    for start in range(0, count, threads):
+        batch = names[start : start + threads]
+        pycolmap.extract_features(
+            path, folder, batch, pycolmap.CameraMode.PER_FOLDER, _reader(folder), extraction, pycolmap.Device.cpu
+        )
+        on_progress(Progress.count("features", min(start + threads, count), count))
+    with closing(pycolmap.Database.open(path)) as database:
+        features = [
+            (database.read_keypoints(image), database.read_descriptors(image)) for image in _ids(database, names)
+        ]
+    pairs = choose([largest_features(keypoints, descriptors.data) for keypoints, descriptors in features])
+    matching, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.ImportedPairingOptions()
+    matching.num_threads, matching.use_gpu = threads, False
+    for start in range(0, len(pairs), CHUNK):
+        pairing.match_list_path = _write_pairs(folder, names, pairs[start : start + CHUNK])
+        pycolmap.match_image_pairs(path, matching, pairing, _verification(options), pycolmap.Device.cpu)
+        on_progress(Progress.count("matches", min(start + CHUNK, len(pairs)), len(pairs)))
+
+
+def _match_aliked(
+    folder: Path, names: Sequence[str], options: SearchOptions, choose: Choose, threads: int, on_progress: OnProgress
+) -> None:
+    """ALIKED features, and LightGlue's matches, verified as those of SIFT, into the database."""
+    from anystyle_captures.sfm.learned import Features, Matcher, on_threads  # kornia, for this search alone
+
+    path, matcher, features = folder / "database.db", Matcher(options.num_features), list[Features]()
+
+    def detect(name: str) -> Features:
+        mask = np.asarray(Image.open(_mask_of(folder, name))) if _mask_of(folder, name).exists() else None
+        return matcher.features(np.asarray(Image.open(folder / name)), mask)
+
+    for one in on_threads(detect, names, threads):
+        features.append(one)
+        on_progress(Progress.count("features", len(features), len(names)))
+    pairs = choose([one.descriptors[:PREVIEW].numpy() for one in features])
+    seconds = SECONDS_A_PAIR * len(pairs) / threads
+    logger.info("LightGlue matches %d pairs of photographs, which takes about %.0f s", len(pairs), seconds)
+    matched = on_threads(matcher.matches, [(features[first], features[second]) for first, second in pairs], threads)
+    with closing(pycolmap.Database.open(path)) as database:
+        ids = _ids(database, names)
+        for image, one in zip(ids, features, strict=True):
+            database.write_keypoints(image, one.keypoints.numpy() + 0.5)  # COLMAP's first pixel is centred at 0.5
+        for done, ((first, second), matches) in enumerate(zip(pairs, matched, strict=True), 1):
+            database.write_matches(ids[first], ids[second], matches)
+            on_progress(Progress.count("matches", done, len(pairs)))
+    pycolmap.verify_matches(path, _write_pairs(folder, names, pairs), _verification(options))
 
 
 def motion(

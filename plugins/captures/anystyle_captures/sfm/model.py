@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -186,6 +186,7 @@ test among the ``PREVIEW`` features of largest scale."""
 class SearchOptions:
     """How cameras are searched for."""
 
+    features: Literal["sift", "aliked"] = "sift"  # matched by their distance, or by LightGlue
     min_side: int = 512  # smaller photographs are enlarged to this longer side: SIFT finds few features in them
     max_side: int = 768
     num_features: int = 1500  # of each photograph, the strongest
@@ -193,10 +194,18 @@ class SearchOptions:
     min_inliers: int = 15  # matches with which the incremental mapper tries to register a view
     seed: int = 0
 
+    def described(self, longer: int) -> str:
+        """The features and the pixels of photographs of this longer side, in words."""
+        by = {"sift": "SIFT", "aliked": "ALIKED and LightGlue"}[self.features]
+        return f"{by} at {min(longer, self.max_side)} pixels"
+
 
 SEARCHES = (SearchOptions(), SearchOptions(max_side=1600, num_features=8000, min_contrast=0.003))
 """The second is begun where the first leaves photographs out that have more pixels than it looked at. More features of
 the same pixels find wrong places (docs/notes/2026-11-captures.md)."""
+LEARNED = SearchOptions(features="aliked", min_side=768)
+LEARNED_NETWORKS = ("aliked", "aliked_lightglue")
+"""A further search by learned features and matches, for photographs that SIFT leaves out, and the weights it needs."""
 
 
 class VerifiedPair(NamedTuple):

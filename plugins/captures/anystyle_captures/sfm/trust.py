@@ -1,6 +1,7 @@
 """Which of several models to take, which of its views, and how far it can be trusted."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -59,6 +60,29 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
     return model, Verdict("doubtful" if doubts else "good", reasons, measures)
 
 
+def extends(model: SparseModel, known: SparseModel) -> bool:
+    """Whether a model has all cameras of a known one, where this has them, and more."""
+    views = np.flatnonzero(known.registered)
+    if len(views) < MIN_VIEWS or not model.registered[views].all() or model.registered.sum() == len(views):
+        return False
+    difference = agreement(model.world_from_camera[views], known.world_from_camera[views])
+    return bool(difference.within(MAX_ROTATION, MAX_POSITION).all())
+
+
+def unconfirmed(verdict: Verdict, names: Sequence[str]) -> Verdict:
+    """The verdict on a model whose cameras of ``names`` rest on learned matches: at most doubtful.
+
+    Such matches agree with each other where they are wrong, too, so that both mappers and many points may do so.
+    """
+    if verdict.trust == "failed":
+        return verdict
+    doubt = (
+        f"the cameras of {_listed(names)} rest on learned matches alone, which nothing confirms; "
+        "take photographs between these and their neighbours"
+    )
+    return replace(verdict, trust="doubtful", reasons=(doubt, *verdict.reasons))
+
+
 def _best_supported(models: Sequence[SparseModel]) -> SparseModel | None:
     supported = [model.restricted(supported_views(model.seen, MIN_SUPPORT)) for model in models]
     return max((model for model in supported if model.registered.sum() >= MIN_VIEWS), key=_rank, default=None)
@@ -82,7 +106,7 @@ def _compare(graph: ViewGraph, best: Sequence[SparseModel]) -> tuple[list[str], 
         return [], views.tolist(), measures
     wrong = common[~agreed]
     doubt = (
-        f"two methods disagree on the cameras of {_listed(graph, wrong.tolist())} (by up to {rotation:.1f}° and "
+        f"two methods disagree on the cameras of {_names(graph, wrong.tolist())} (by up to {rotation:.1f}° and "
         f"{100 * position:.0f} % of the path's size); take photographs between these and their neighbours"
     )
     # Where most views disagree, nothing tells which of them are right.
@@ -102,7 +126,7 @@ def _why_failed(graph: ViewGraph, rotation_share: float) -> str:
         )
     group = _largest_group(count, graph.pairs)
     if len(group) < min(count, MIN_VIEWS):
-        which = "no two of them show" if len(group) == 1 else f"only {_listed(graph, group)} show"
+        which = "no two of them show" if len(group) == 1 else f"only {_names(graph, group)} show"
         return (
             f"the photographs do not overlap: {which} the same things; "
             "neighbouring photographs should share at least two thirds of what they show"
@@ -131,18 +155,22 @@ def _left_out(graph: ViewGraph, model: SparseModel) -> list[str]:
     alone, weak = ([view for view in missing if (view in matched) is known] for known in (False, True))
     reasons = []
     if alone:
-        reasons.append(f"{_listed(graph, alone)} shares nothing with any other photograph and was left out")
+        reasons.append(f"{_names(graph, alone)} shares nothing with any other photograph and was left out")
     if weak:
         reasons.append(
-            f"{_listed(graph, weak)} shares too little with the others and was left out; "
+            f"{_names(graph, weak)} shares too little with the others and was left out; "
             "take photographs between it and its neighbours"
         )
     return reasons
 
 
-def _listed(graph: ViewGraph, views: Sequence[int], most: int = 6) -> str:
-    names = sorted((graph.names[view] for view in views), key=natural)
+def _listed(given: Sequence[str], most: int = 6) -> str:
+    names = sorted(given, key=natural)
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _names(graph: ViewGraph, views: Sequence[int]) -> str:
+    return _listed([graph.names[view] for view in views])
 
 
 def supported_views(seen: Bool[Array, "P V"], least: int) -> list[int]:

@@ -186,7 +186,7 @@ def test_photographs_left_out_are_searched_again_at_more_pixels(orbit, caplog):
     searches = [SearchOptions(min_side=side, max_side=side) for side in (96, 192, 256)]
     with caplog.at_level("INFO"):
         found = find_cameras(orbit[1], searches=searches)
-    assert caplog.text.count("of 6 photographs have a camera at 96 pixels") == 1
+    assert caplog.text.count("of 6 photographs have a camera by SIFT at 96 pixels") == 1
     assert found.verdict.trust == "good" and found.model.registered.all()
     assert found.verdict.measures["searched_pixels"] == 192
 
