@@ -104,7 +104,7 @@ def pose_errors(
         for index, (image, focal) in enumerate(zip(pixels, intrinsics[:, 0, 0].tolist(), strict=True))
     ]
     with tempfile.TemporaryDirectory() as folder:
-        graph = match(Path(folder), photographs, SearchOptions(min_side), pairs=[*pairs])
+        graph = match(Path(folder), photographs, SearchOptions(min_side=min_side), pairs=[*pairs])
     errors = dict.fromkeys(pairs, inf)
     for pair in graph.pairs:
         found = motion(graph, pair, [intrinsics[pair.first], intrinsics[pair.second]], cameras.size)
