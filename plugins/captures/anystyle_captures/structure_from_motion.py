@@ -156,8 +156,9 @@ def find_cameras(
     Further searches follow while photographs lack a confirmed camera and are not enlarged for it, by the same features
     only where there are more pixels than were searched. One whose verdict is good counts, among these the one that
     finds most cameras. A model by learned features counts where the same rules find it good, before a good one only
-    where it extends this, and its verdict is at most doubtful. The same photographs and searches give the same cameras, bit for bit, on any number of threads and in
-    whatever order they are given, unless they are ordered. A failure raises nothing: the verdict states it.
+    where it extends this, and its verdict is at most doubtful. The same photographs and searches give the same cameras,
+    bit for bit, on any number of threads and in whatever order they are given, unless they are ordered. A failure
+    raises nothing: the verdict states it.
     """
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):
