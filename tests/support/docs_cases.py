@@ -118,6 +118,7 @@ NOT_RUN = {
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|notebooks|test|test-slow|format lint)$": "sets up an environment from a network",
+    r"anystyle stylize .*poses=sfm_lightglue": "weights of an extra; captures/tests/sfm/test_learned.py has them",
     r"anystyle profile model=anystyle_head": "5 GiB of weights; benchmark/tests profile a small model without any",
     r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
     r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",

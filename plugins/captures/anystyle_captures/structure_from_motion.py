@@ -155,9 +155,10 @@ def find_cameras(
 
     Further searches follow while photographs lack a confirmed camera and are not enlarged for it, by the same features
     only where there are more pixels than were searched. One whose verdict is good counts, among these the one that
-    finds most cameras. Cameras by learned features are at most doubtful, and count before good ones only where they
-    extend them. The same photographs and searches give the same cameras, bit for bit, on any number of threads and in
-    whatever order they are given, unless they are ordered. A failure raises nothing: the verdict states it.
+    finds most cameras. A model by learned features counts where the same rules find it good, before a good one only
+    where it extends this, and its verdict is at most doubtful. The same photographs and searches give the same cameras,
+    bit for bit, on any number of threads and in whatever order they are given, unless they are ordered. A failure
+    raises nothing: the verdict states it.
     """
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):
@@ -214,7 +215,7 @@ def best_search(
     judged: Callable[[SearchOptions], tuple[SparseModel, Verdict]],
 ) -> Searched:
     """Search until all photographs have a confirmed camera, and choose what counts; ``judged`` does one search."""
-    longer, count = max(max(photograph.size) for photograph in photographs), len(photographs)
+    longer, count, by = max(max(photograph.size) for photograph in photographs), len(photographs), ""
     found: list[Searched] = []
     for previous, options in zip([None, *searches], searches, strict=False):
         same = previous is not None and previous.features == options.features and longer <= previous.max_side
@@ -227,6 +228,8 @@ def best_search(
         model, verdict = judged(options)
         good = verdict.trust == "good"
         if options.features == "aliked":
+            if found and not good:
+                continue  # most of these are wrong
             known = max(found, key=Searched.rank).model if found else SparseModel.empty(count)
             good = good and extends(model, known)
             rest = model.registered & ~known.registered if good else model.registered
@@ -235,7 +238,7 @@ def best_search(
         if count < MIN_VIEWS or (model.registered.all() and good):
             break
     best = max(found, key=Searched.rank)
-    if len(found) > 1:
+    if by != found[0].by:
         logger.info("the cameras of %d of %d photographs are by %s", best.registered, count, best.by)
     return best
 

@@ -9,6 +9,7 @@ import torch
 
 from anystyle.testing.oracle import smooth_image
 from anystyle.vision import weights
+from anystyle_captures.sfm.colmap import match
 from anystyle_captures.sfm.model import LEARNED_NETWORKS, Photograph, SearchOptions
 from anystyle_captures.sfm.trust import agreement
 from anystyle_captures.structure_from_motion import LightGlueStructureFromMotion, find_cameras
@@ -79,12 +80,16 @@ def test_matches_of_a_shifted_picture_are_shifted(matcher):
 
 
 @installed
-def test_no_feature_is_taken_of_what_is_masked(matcher):
+def test_no_feature_is_taken_of_what_is_masked(matcher, tmp_path):
     pixels, mask = bytes_of(cuts()[0]), np.full((128, 160), 255, dtype=np.uint8)
     mask[:, :80] = 0
     keypoints = matcher.features(pixels, mask).keypoints
     assert 10 < len(keypoints) < len(matcher.features(pixels).keypoints) and keypoints[:, 0].min() > 78
     assert len(matcher.features(pixels, np.zeros_like(mask)).keypoints) == 0
+    half = np.where(np.arange(192) < 96, 255, 0).astype(np.uint8) * np.ones((168, 1), dtype=np.uint8)
+    masked = [replace(one, mask=half) for one in orbit()[1][:3]]
+    graph = match(tmp_path, masked, replace(SIFT, features="aliked"))  # 256 pixels wide
+    assert graph.pairs and 100 < max(pair.pixels[..., 0].max() for pair in graph.pairs) < 131
 
 
 @installed

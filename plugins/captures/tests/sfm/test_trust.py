@@ -152,6 +152,7 @@ GOOD, DOUBTFUL = Verdict("good", (), {}), Verdict("doubtful", ("why",), {})
         ((4, GOOD), ("another", GOOD), "known", None),
         ((4, DOUBTFUL), ("another", GOOD), "learned", "view0, view1, view2, view3, view4, view5"),
         ((6, DOUBTFUL), ("another", GOOD), "known", None),
+        ((4, DOUBTFUL), ("right", DOUBTFUL), "known", None),
         ((0, Verdict("failed", ("why",), {})), ("right", GOOD), "learned", "view0, view1, view2, view3, view4, view5"),
     ],
 )
