@@ -199,5 +199,5 @@ def _webp(values: NDArray[np.generic], width: int) -> bytes:
     pixels = np.pad(values.astype(np.uint8), ((0, -len(values) % width), (0, 0))).reshape(-1, width, values.shape[1])
     stream = io.BytesIO()
     # `exact` keeps colours under transparent pixels.
-    Image.fromarray(pixels).save(stream, "WEBP", lossless=True, exact=True, method=4)
+    Image.fromarray(pixels).save(stream, "WEBP", lossless=True, exact=True, method=2)
     return stream.getvalue()

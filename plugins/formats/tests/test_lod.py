@@ -14,9 +14,19 @@ from PIL import Image
 
 from anystyle.errors import UserError
 from anystyle.types import Gaussians, StyledScene
-from anystyle_formats import lod
+from anystyle_formats import levels
 from anystyle_formats.html import Html
-from anystyle_formats.lod import Level, Lod, area, coarser, covariances, index_of, levels_of, merged
+from anystyle_formats.levels import (
+    Level,
+    area,
+    coarser,
+    columns_with,
+    covariances,
+    levels_of,
+    merged,
+    moments_of,
+)
+from anystyle_formats.lod import Lod, index_of
 from anystyle_formats.packing import columns_of, cuts, kd_order
 from anystyle_formats.sog import Sog
 from tests.support.browser import errors_of, new_page, wait
@@ -48,7 +58,8 @@ def moments(columns):
 
 def test_two_gaussians_become_one_with_their_moments():
     both = faint(2)
-    one = merged(both, np.array([0]))
+    each = moments_of(both)
+    one = columns_with(merged(each.rows(np.array([0])), each.rows(np.array([1]))))
     for found, expected in zip(moments(one), moments(both), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
     first, second = covariances(both)
@@ -64,12 +75,12 @@ def test_the_area_of_a_disc_and_of_a_ball():
 
 
 def test_coarser_levels_keep_all_moments_and_leaves(monkeypatch):
-    monkeypatch.setattr(lod, "CHUNK", 128)
-    monkeypatch.setattr(lod, "COARSEST", 40)
+    monkeypatch.setattr(levels, "CHUNK", 128)
+    monkeypatch.setattr(levels, "COARSEST", 40)
     columns = faint()
-    levels = levels_of(columns)
-    assert [len(level.leaf) for level in levels] == [500, 160, 40]
-    for level in levels:
+    made = levels_of(columns)
+    assert [len(level.leaf) for level in made] == [500, 141, 40]
+    for level in made:
         assert set(level.leaf) == {0, 1, 2, 3} and bool((np.diff(level.leaf) >= 0).all())
         for found, expected in zip(moments(level.columns), moments(columns), strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
@@ -92,14 +103,14 @@ def leaves_of(node):
 
 
 def test_ranges_of_leaves_fill_every_chunk(monkeypatch):
-    monkeypatch.setattr(lod, "CHUNK", 64)
-    monkeypatch.setattr(lod, "COARSEST", 40)
-    levels = levels_of(faint(700))
-    index = index_of(levels)
+    monkeypatch.setattr(levels, "CHUNK", 64)
+    monkeypatch.setattr(levels, "COARSEST", 40)
+    made = levels_of(faint(700))
+    index = index_of(made)
     leaves = leaves_of(index["tree"])
-    assert index["counts"] == [700, 160, 40] and index["count"] == 900 and index["lodLevels"] == 3
-    assert len(leaves) == 16 and len(index["filenames"]) == 16 + 4 + 1
-    for number, level in enumerate(levels):
+    assert index["counts"] == [700, 270, 104, 40] and index["count"] == 1114 and index["lodLevels"] == 4
+    assert len(leaves) == 16 and len(index["filenames"]) == 16 + 8 + 2 + 1
+    for number, level in enumerate(made):
         rows = 0
         for file in dict.fromkeys(leaf["lods"][str(number)]["file"] for leaf in leaves):
             end = 0
@@ -141,8 +152,8 @@ def test_a_single_level_is_what_sog_has_in_every_style(tmp_path):
 
 
 def test_styles_share_the_images_of_their_geometry(tmp_path, monkeypatch):
-    monkeypatch.setattr(lod, "CHUNK", 128)
-    monkeypatch.setattr(lod, "COARSEST", 100)
+    monkeypatch.setattr(levels, "CHUNK", 128)
+    monkeypatch.setattr(levels, "COARSEST", 100)
     styles, folder = styled(), tmp_path / "scene.lod"
     Lod().write(styles, folder)
     written = {file.relative_to(folder).as_posix() for file in folder.rglob("*.webp")}
