@@ -6,6 +6,7 @@ All styles share their images of positions, sizes and rotations.
 """
 
 import json
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
@@ -17,19 +18,23 @@ from numpy.typing import NDArray
 
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_directory
+from anystyle.io.documents import parse_json, read_bytes, regular
+from anystyle.io.splats import near
+from anystyle.paths import natural
 from anystyle.pipeline.styles import slug
 from anystyle.types import StyledScene
 from anystyle_formats.html import page_of
 from anystyle_formats.levels import Level, levels_of
 from anystyle_formats.packing import Columns, columns_of
-from anystyle_formats.sog import asset, encoded_colors, encoded_shape
+from anystyle_formats.reading import gaussians, reading, room_for
+from anystyle_formats.sog import asset, decoded, encoded_colors, encoded_shape, notes_of
 
 
 class Lod(Format):
     """Streamed SOG in all styles: ``lod-meta.json`` is the last, ``styles`` has the others, ``index.html`` the page."""
 
     index = "lod-meta.json"
-    has_notes = many_styles = True
+    has_notes = many_styles = reads = True
     shared = ("means", "rotations", "scales", "opacities")
 
     def write(self, scene: StyledScene, path: Path) -> None:
@@ -38,9 +43,9 @@ class Lod(Format):
         # Those of all styles are merged as if they were one.
         levels = levels_of(styles[-1]._replace(harmonics=np.concatenate(harmonics, 1)))
         ends = np.cumsum([each.shape[1] for each in harmonics])[:-1]
-        titles = [title for title, _ in scene.styles[:-1]]
-        folders = [f"styles/{number}-{slug(title)}/" for number, title in enumerate(titles, 1)] + [""]
-        index = json.dumps(index_of(levels) | {"asset": asset(scene.notes)})
+        titles = [title for title, _ in scene.styles]
+        folders = [f"styles/{number}-{slug(title)}/" for number, title in enumerate(titles[:-1], 1)] + [""]
+        index = index_of(levels)
         page = page_of(scene, {"rotations": [0]}, [{"rotation": 0, "folder": folder} for folder in folders])
         chunks: list[Future[None]] = []
         with atomic_directory(path, overwrite=True) as target, ThreadPoolExecutor() as pool:  # WebP lets threads run
@@ -51,9 +56,47 @@ class Lod(Format):
                     chunks.append(pool.submit(_write_chunk, target, f"{number}_{chunk}", part, dict(colors)))
             for each in chunks:
                 each.result()
-            for folder in folders:
-                (target / folder / self.index).write_text(index, encoding="utf-8")
+            for folder, title in zip(folders, titles, strict=True):
+                about = {"asset": asset(scene.notes) | {"title": title}}
+                (target / folder / self.index).write_text(json.dumps(index | about), encoding="utf-8")
             (target / "index.html").write_text(page, encoding="utf-8", errors="backslashreplace")
+
+    def read(self, path: Path) -> StyledScene:
+        """Read each leaf of the tree in its finest level, and what is always shown; the styles are those below it."""
+        files = sorted(path.glob(f"styles/*/{self.index}"), key=lambda file: natural(file.parent.name))
+        files.append(path / self.index)
+        with reading(files[-1], "index of streamed SOG") as remarks:
+            found = [_finest(file) for file in files]
+            titles = [index.get("asset", {}).get("title", file.parent.resolve().stem) for file, index, _ in found]
+            means, offset = near(found[-1][2].means, remarks)
+            read = [gaussians(remarks, means, *columns[1:]) for _, _, columns in found]
+            notes = notes_of(found[-1][1])
+        return StyledScene(tuple(zip(map(str, titles), read, strict=True)), notes=notes, offset=offset)
+
+
+def _finest(file: Path) -> tuple[Path, dict[str, Any], Columns]:
+    """An index and its content, and the Gaussians of each leaf in the finest of its levels."""
+    index = parse_json(read_bytes(file), dict[str, Any], source=str(file), what="index of streamed SOG")
+    nodes, runs = [index["tree"]], defaultdict[str, list[NDArray[np.int64]]](list)
+    while nodes:
+        node = nodes.pop()
+        nodes += reversed(node.get("children") or [])
+        if lods := node.get("lods"):
+            place = lods[min(lods, key=int)]
+            room_for(file, place["count"])
+            rows = np.arange(place["offset"], place["offset"] + place["count"])
+            runs[index["filenames"][place["file"]]].append(rows)
+    parts: list[Columns] = []
+    for name in (*runs, *filter(None, [index.get("environment")])):
+        part = decoded(lambda image: regular(file.parent / image, most=None).read_bytes(), name, file)[1]
+        rows = np.concatenate(runs[name]) if name in runs else slice(None)
+        parts.append(Columns(*(column[rows] for column in part)))
+    most = max(part.harmonics.shape[1] for part in parts)
+    padded = [
+        part._replace(harmonics=np.pad(part.harmonics, ((0, 0), (0, most - part.harmonics.shape[1]), (0, 0))))
+        for part in parts
+    ]
+    return file, index, Columns(*(np.concatenate(columns) for columns in zip(*padded, strict=True)))
 
 
 def index_of(levels: Sequence[Level]) -> dict[str, Any]:

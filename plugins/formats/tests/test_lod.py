@@ -1,6 +1,7 @@
 """Streamed SOG: levels keep moments, styles share geometry, and the page shows a picture after at most a megabyte."""
 
 import json
+import subprocess
 import threading
 import zipfile
 from dataclasses import replace
@@ -13,6 +14,8 @@ import torch
 from PIL import Image
 
 from anystyle.errors import UserError
+from anystyle.pipeline.export import export
+from anystyle.pipeline.saved import read_saved
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats import levels
 from anystyle_formats.html import Html
@@ -30,6 +33,7 @@ from anystyle_formats.lod import Lod, index_of
 from anystyle_formats.packing import columns_of, cuts, kd_order
 from anystyle_formats.sog import Sog
 from tests.support.browser import errors_of, new_page, wait
+from tests.support.export_readers import SPLAT_TRANSFORM
 from tests.support.export_scene import camera, picture, psnr, scene
 
 
@@ -161,7 +165,9 @@ def test_styles_share_the_images_of_their_geometry(tmp_path, monkeypatch):
         f"{chunk}/means_{part}.webp" for chunk in ("0_0", "0_1", "0_2", "0_3", "1_0") for part in "lu"
     }
     index = json.loads((folder / "lod-meta.json").read_text())
-    assert (folder / "styles/1-unstyled/lod-meta.json").read_text() == (folder / "lod-meta.json").read_text()
+    other = json.loads((folder / "styles/1-unstyled/lod-meta.json").read_text())
+    assert other | {"asset": None} == index | {"asset": None}
+    assert [each["asset"]["title"] for each in (other, index)] == ["unstyled", "blue"]
     for inside, (_, given) in zip(("styles/1-unstyled", ""), styles.styles, strict=True):
         chunks = [read_chunk(folder / inside, name.partition("/")[0]) for name in index["filenames"]]
         finest = Gaussians(**{name: torch.cat([vars(each)[name] for each in chunks[:4]], 1) for name in vars(given)})
@@ -171,6 +177,73 @@ def test_styles_share_the_images_of_their_geometry(tmp_path, monkeypatch):
     coarse = [read_chunk(folder / inside, "1_0") for inside in ("styles/1-unstyled", "")]
     assert torch.equal(coarse[0].means, coarse[1].means) and torch.equal(coarse[0].opacities, coarse[1].opacities)
     torch.testing.assert_close(coarse[0].harmonics.flip(-1), coarse[1].harmonics, atol=0.03, rtol=0)
+
+
+def test_a_folder_is_read_in_its_finest_level_and_all_styles(tmp_path, monkeypatch):
+    monkeypatch.setattr(levels, "CHUNK", 128)
+    monkeypatch.setattr(levels, "COARSEST", 100)
+    styles = replace(styled(), notes=("of a street",))
+    Lod().write(styles, tmp_path / "web")
+    read = read_saved(tmp_path / "web")
+    assert read.notes[0] == "of a street"
+    for (title, found), (name, given) in zip(read.styles, styles.styles, strict=True):
+        assert title == name and found.means.shape == given.means.shape
+        assert psnr(picture(found), picture(given)) > 34
+    one = read_saved(tmp_path / "web" / "styles" / "1-unstyled").styles
+    assert [title for title, _ in one] == ["unstyled"] and torch.equal(one[0][1].means, read.styles[0][1].means)
+
+
+def test_a_leaf_is_read_in_the_finest_level_that_it_has_and_what_is_always_shown_with_it(tmp_path):
+    """As the format allows: leaves that lack levels, a chunk for several leaves, an environment without harmonics."""
+    styles = styled()
+    Lod().write(styles, tmp_path / "web")
+    Lod().write(StyledScene((("sky", scene(1, 20)),)), tmp_path / "web" / "env")
+    place = {"file": 0, "count": 100}
+    leaves = [{"lods": {"1": {**place, "offset": 300}, "2": place}}, {"lods": {"0": {**place, "offset": 0}}}]
+    index = {"filenames": ["0_0/meta.json"], "environment": "env/0_0/meta.json", "tree": {"children": leaves}}
+    whole = read_chunk(tmp_path / "web", "0_0")
+    (tmp_path / "web" / "lod-meta.json").write_text(json.dumps(index))
+    title, found = read_saved(tmp_path / "web").styles[-1]
+    assert title == "web" and found.means.shape[1] == 220
+    torch.testing.assert_close(found.means[0, :200], torch.cat([whole.means[0, 300:], whole.means[0, :100]]))
+    assert not found.harmonics[0, 200:, 1:].any() and bool(found.harmonics[0, :200, 1:].any())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda index: index.pop("tree"),
+        lambda index: index.update(filenames=["../elsewhere/meta.json"]),
+        lambda index: index["tree"]["lods"]["0"].update(offset=7),
+        lambda index: index["tree"]["lods"]["0"].update(count=10**9),
+        lambda index: index["tree"].update(lods={}),
+    ],
+)
+def test_a_damaged_index_ends_in_one_line(change, tmp_path):
+    Lod().write(styled(), tmp_path / "web")
+    file = tmp_path / "web" / "lod-meta.json"
+    index = json.loads(file.read_text())
+    change(index)
+    file.write_text(json.dumps(index))
+    with pytest.raises(UserError) as caught:
+        read_saved(tmp_path / "web")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_folder_of_splat_transform_is_read(count, tmp_path):
+    if SPLAT_TRANSFORM is None:
+        pytest.skip("splat-transform is not installed (npm install -g @playcanvas/splat-transform)")
+    given = scene(4)
+    export(given, tmp_path / "0.ply", "ply")
+    export(given.map(lambda tensor: tensor[:, ::2]), tmp_path / "1.ply", "ply")
+    tagged = [word for level in range(count) for word in (f"{tmp_path}/{level}.ply", "--tag-lod", str(level))]
+    (tmp_path / "web").mkdir()
+    subprocess.run(
+        [SPLAT_TRANSFORM, "-w", "-g", "cpu", *tagged, f"{tmp_path}/web/lod-meta.json"], check=True, capture_output=True
+    )
+    ((_, found),) = read_saved(tmp_path / "web").styles
+    assert found.means.shape == given.means.shape and psnr(picture(found), picture(given)) > 34
 
 
 def test_a_folder_of_others_is_refused_and_stays(tmp_path):
