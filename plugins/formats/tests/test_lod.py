@@ -287,6 +287,38 @@ def shot(page, path):
 
 
 @pytest.mark.slow
+def test_what_is_large_on_the_screen_is_refined_first(browser, server, tmp_path, monkeypatch):
+    """Of two rooms the near one, level by level, and then the far one."""
+    monkeypatch.setattr(levels, "CHUNK", 1000)
+    monkeypatch.setattr(levels, "COARSEST", 300)
+    plain, far = scene(1, 4000), (torch.arange(4000) % 2)[:, None] * torch.tensor([0.0, 0.0, 40.0])
+    styles = StyledScene((("rooms", replace(plain, means=plain.means + far)),), camera(), ("front",))
+    Lod().write(styles, tmp_path / "scene.lod")
+    Html().write(styles, tmp_path / "scene.html")
+    index = json.loads((tmp_path / "scene.lod" / "lod-meta.json").read_text())
+    assert index["counts"] == [4000, 1095, 300]
+    near = [leaf for leaf in leaves_of(index["tree"]) if leaf["bound"]["max"][2] < 20]
+    expected = [{leaf["lods"][level]["file"] for leaf in near} for level in "10"]
+    options = {"viewport": {"width": 200, "height": 150}, "color_scheme": "light"}
+    with new_page(browser, **options) as page, new_page(browser, **options) as single:
+        errors = errors_of(page)
+        server.finest.set()
+        page.goto(f"http://127.0.0.1:{server.server_port}/")
+        wait(page, "document.body.dataset.complete")
+        asked = [path[1:] for path, _ in server.sent if path.endswith("/meta.json")]
+        chunks = [index["filenames"].index(path) for path in asked]
+        first, between, finest = chunks[:1], chunks[1 : 1 + len(expected[0])], chunks[1 + len(expected[0]) :]
+        assert index["filenames"][first[0]] == "2_0/meta.json" and sorted(chunks) == list(
+            range(len(index["filenames"]))
+        )
+        assert set(between) == expected[0] and set(finest[: len(expected[1])]) == expected[1]
+        single.goto((tmp_path / "scene.html").as_uri())
+        wait(single, "document.body.dataset.ready")
+        assert psnr(shot(page, tmp_path / "refined.png"), shot(single, tmp_path / "whole.png")) > 38
+        assert errors == []
+
+
+@pytest.mark.slow
 def test_the_page_shows_a_coarse_picture_of_a_megabyte_and_refines_it(browser, server, tmp_path):
     styles = styled(70_000, 1)
     styles = replace(
