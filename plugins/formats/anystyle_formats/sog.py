@@ -7,7 +7,7 @@ The format is described in PlayCanvas's user manual (developer.playcanvas.com, "
 import io
 import json
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil, isqrt, sqrt
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -54,43 +54,59 @@ class Sog(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SOG file") as remarks, zipfile.ZipFile(path) as archive:
             file = next((name for name in archive.namelist() if PurePosixPath(name).name == "meta.json"), "meta.json")
-            folder = PurePosixPath(file).parent
-            meta = parse_json(_member(archive, file), dict[str, Any], source=str(path), what="SOG file")
-            # Version 1 has the count in the shape of the means, and no codebooks.
-            count = room_for(path, meta["count"] if "count" in meta else meta["means"]["shape"][0])
+            meta, (means, *columns) = decoded(lambda name: _member(archive, name), file, path)
+            positions, offset = near(means, remarks)
+            scene = gaussians(remarks, positions, *columns)
+        return StyledScene(((path.stem, scene),), notes=notes_of(meta), offset=offset)
 
-            def pixels_of(part: str, file: int = 0, rows: int | None = count) -> NDArray[np.int64]:
-                """Pixels in RGBA, in a grid where the number of rows is not given: rows 4."""
-                name = meta[part]["files"][file]
-                with opened(_member(archive, str(folder / name)), f"{path}: {name}") as image:
-                    require_pixels(image, 1 << 16)
-                    pixels = np.asarray(image.convert("RGBA")).astype(np.int64)
-                if rows is None:
-                    return pixels
-                pixels = pixels.reshape(-1, 4)
-                if len(pixels) < rows:
-                    raise ValueError(f"{name} has {len(pixels):,} pixels for {rows:,} Gaussians")
-                return pixels[:rows]
 
-            low, high = (pixels_of("means", file)[:, :3] for file in (0, 1))
-            far = _between(meta["means"], (low | high << 8) / 65535)
-            turns, color = pixels_of("quats"), pixels_of("sh0")
-            wxyz = from_smallest_three(turns[:, 3] - 252, (turns[:, :3] / 255 - 0.5) * sqrt(2))
-            alpha = color[:, 3] / 255
-            if not meta["sh0"].get("codebook"):
-                alpha = 1 / (1 + np.exp(-_between(meta["sh0"], color / 255)[:, 3]))
-            harmonics = _decoded(meta["sh0"], color)[:, None, :3]
-            if meta.get("shN") is not None:
-                label, book = pixels_of("shN", 1), pixels_of("shN", rows=None)
-                # A row of pixels has 64 centroids, their coefficients side by side.
-                centroids = _decoded(meta["shN"], book[..., :3]).reshape(-1, book.shape[1] // 64, 3)
-                harmonics = np.concatenate([harmonics, centroids[label[:, 0] | label[:, 1] << 8]], 1)
-            scales = np.exp(_decoded(meta["scales"], pixels_of("scales")[:, :3]))
-            means, offset = near(np.sign(far) * np.expm1(np.abs(far)), remarks)
-            scene = gaussians(remarks, means, wxyz, scales, alpha, harmonics)
-            asset = meta.get("asset", {})
-            notes = joined_notes(str(asset.get("copyright", "")).splitlines(), asset.get("provenance"))
-        return StyledScene(((path.stem, scene),), notes=notes, offset=offset)
+def decoded(member: Callable[[str], bytes], file: str, source: Path) -> tuple[dict[str, Any], Columns]:
+    """The content of ``meta.json``, of either version, and the Gaussians that it describes.
+
+    Args:
+        member: The bytes of a file by its path.
+        file: The path of ``meta.json``, which names images by their paths from its folder.
+        source: What errors name.
+    """
+    folder = PurePosixPath(file).parent
+    meta = parse_json(member(file), dict[str, Any], source=str(source), what="SOG file")
+    # Version 1 has the count in the shape of the means, and no codebooks.
+    count = room_for(source, meta["count"] if "count" in meta else meta["means"]["shape"][0])
+
+    def pixels_of(part: str, file: int = 0, rows: int | None = count) -> NDArray[np.int64]:
+        """Pixels in RGBA, in a grid where the number of rows is not given: rows 4."""
+        name = meta[part]["files"][file]
+        with opened(member(str(folder / name)), f"{source}: {name}") as image:
+            require_pixels(image, 1 << 16)
+            pixels = np.asarray(image.convert("RGBA")).astype(np.int64)
+        if rows is None:
+            return pixels
+        pixels = pixels.reshape(-1, 4)
+        if len(pixels) < rows:
+            raise ValueError(f"{name} has {len(pixels):,} pixels for {rows:,} Gaussians")
+        return pixels[:rows]
+
+    low, high = (pixels_of("means", file)[:, :3] for file in (0, 1))
+    far = _between(meta["means"], (low | high << 8) / 65535)
+    turns, color = pixels_of("quats"), pixels_of("sh0")
+    wxyz = from_smallest_three(turns[:, 3] - 252, (turns[:, :3] / 255 - 0.5) * sqrt(2))
+    alpha = color[:, 3] / 255
+    if not meta["sh0"].get("codebook"):
+        alpha = 1 / (1 + np.exp(-_between(meta["sh0"], color / 255)[:, 3]))
+    harmonics = _decoded(meta["sh0"], color)[:, None, :3]
+    if meta.get("shN") is not None:
+        label, book = pixels_of("shN", 1), pixels_of("shN", rows=None)
+        # A row of pixels has 64 centroids, their coefficients side by side.
+        centroids = _decoded(meta["shN"], book[..., :3]).reshape(-1, book.shape[1] // 64, 3)
+        harmonics = np.concatenate([harmonics, centroids[label[:, 0] | label[:, 1] << 8]], 1)
+    scales = np.exp(_decoded(meta["scales"], pixels_of("scales")[:, :3]))
+    return meta, Columns(np.sign(far) * np.expm1(np.abs(far)), wxyz, scales, alpha, harmonics)
+
+
+def notes_of(meta: Mapping[str, Any]) -> tuple[str, ...]:
+    """The notes of a scene that ``asset`` has."""
+    said = meta.get("asset", {})
+    return joined_notes(str(said.get("copyright", "")).splitlines(), said.get("provenance"))
 
 
 def asset(notes: Sequence[str]) -> dict[str, Any]:
@@ -199,5 +215,5 @@ def _webp(values: NDArray[np.generic], width: int) -> bytes:
     pixels = np.pad(values.astype(np.uint8), ((0, -len(values) % width), (0, 0))).reshape(-1, width, values.shape[1])
     stream = io.BytesIO()
     # `exact` keeps colours under transparent pixels.
-    Image.fromarray(pixels).save(stream, "WEBP", lossless=True, exact=True, method=4)
+    Image.fromarray(pixels).save(stream, "WEBP", lossless=True, exact=True, method=2)
     return stream.getvalue()

@@ -1,6 +1,7 @@
 """Streamed SOG: levels keep moments, styles share geometry, and the page shows a picture after at most a megabyte."""
 
 import json
+import subprocess
 import threading
 import zipfile
 from dataclasses import replace
@@ -13,13 +14,26 @@ import torch
 from PIL import Image
 
 from anystyle.errors import UserError
+from anystyle.pipeline.export import export
+from anystyle.pipeline.saved import read_saved
 from anystyle.types import Gaussians, StyledScene
-from anystyle_formats import lod
+from anystyle_formats import levels
 from anystyle_formats.html import Html
-from anystyle_formats.lod import Level, Lod, area, coarser, covariances, index_of, levels_of, merged
+from anystyle_formats.levels import (
+    Level,
+    area,
+    coarser,
+    columns_with,
+    covariances,
+    levels_of,
+    merged,
+    moments_of,
+)
+from anystyle_formats.lod import Lod, index_of
 from anystyle_formats.packing import columns_of, cuts, kd_order
 from anystyle_formats.sog import Sog
 from tests.support.browser import errors_of, new_page, wait
+from tests.support.export_readers import SPLAT_TRANSFORM
 from tests.support.export_scene import camera, picture, psnr, scene
 
 
@@ -48,7 +62,8 @@ def moments(columns):
 
 def test_two_gaussians_become_one_with_their_moments():
     both = faint(2)
-    one = merged(both, np.array([0]))
+    each = moments_of(both)
+    one = columns_with(merged(each.rows(np.array([0])), each.rows(np.array([1]))))
     for found, expected in zip(moments(one), moments(both), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
     first, second = covariances(both)
@@ -64,12 +79,12 @@ def test_the_area_of_a_disc_and_of_a_ball():
 
 
 def test_coarser_levels_keep_all_moments_and_leaves(monkeypatch):
-    monkeypatch.setattr(lod, "CHUNK", 128)
-    monkeypatch.setattr(lod, "COARSEST", 40)
+    monkeypatch.setattr(levels, "CHUNK", 128)
+    monkeypatch.setattr(levels, "COARSEST", 40)
     columns = faint()
-    levels = levels_of(columns)
-    assert [len(level.leaf) for level in levels] == [500, 160, 40]
-    for level in levels:
+    made = levels_of(columns)
+    assert [len(level.leaf) for level in made] == [500, 141, 40]
+    for level in made:
         assert set(level.leaf) == {0, 1, 2, 3} and bool((np.diff(level.leaf) >= 0).all())
         for found, expected in zip(moments(level.columns), moments(columns), strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
@@ -92,14 +107,14 @@ def leaves_of(node):
 
 
 def test_ranges_of_leaves_fill_every_chunk(monkeypatch):
-    monkeypatch.setattr(lod, "CHUNK", 64)
-    monkeypatch.setattr(lod, "COARSEST", 40)
-    levels = levels_of(faint(700))
-    index = index_of(levels)
+    monkeypatch.setattr(levels, "CHUNK", 64)
+    monkeypatch.setattr(levels, "COARSEST", 40)
+    made = levels_of(faint(700))
+    index = index_of(made)
     leaves = leaves_of(index["tree"])
-    assert index["counts"] == [700, 160, 40] and index["count"] == 900 and index["lodLevels"] == 3
-    assert len(leaves) == 16 and len(index["filenames"]) == 16 + 4 + 1
-    for number, level in enumerate(levels):
+    assert index["counts"] == [700, 270, 104, 40] and index["count"] == 1114 and index["lodLevels"] == 4
+    assert len(leaves) == 16 and len(index["filenames"]) == 16 + 8 + 2 + 1
+    for number, level in enumerate(made):
         rows = 0
         for file in dict.fromkeys(leaf["lods"][str(number)]["file"] for leaf in leaves):
             end = 0
@@ -141,8 +156,8 @@ def test_a_single_level_is_what_sog_has_in_every_style(tmp_path):
 
 
 def test_styles_share_the_images_of_their_geometry(tmp_path, monkeypatch):
-    monkeypatch.setattr(lod, "CHUNK", 128)
-    monkeypatch.setattr(lod, "COARSEST", 100)
+    monkeypatch.setattr(levels, "CHUNK", 128)
+    monkeypatch.setattr(levels, "COARSEST", 100)
     styles, folder = styled(), tmp_path / "scene.lod"
     Lod().write(styles, folder)
     written = {file.relative_to(folder).as_posix() for file in folder.rglob("*.webp")}
@@ -150,7 +165,9 @@ def test_styles_share_the_images_of_their_geometry(tmp_path, monkeypatch):
         f"{chunk}/means_{part}.webp" for chunk in ("0_0", "0_1", "0_2", "0_3", "1_0") for part in "lu"
     }
     index = json.loads((folder / "lod-meta.json").read_text())
-    assert (folder / "styles/1-unstyled/lod-meta.json").read_text() == (folder / "lod-meta.json").read_text()
+    other = json.loads((folder / "styles/1-unstyled/lod-meta.json").read_text())
+    assert other | {"asset": None} == index | {"asset": None}
+    assert [each["asset"]["title"] for each in (other, index)] == ["unstyled", "blue"]
     for inside, (_, given) in zip(("styles/1-unstyled", ""), styles.styles, strict=True):
         chunks = [read_chunk(folder / inside, name.partition("/")[0]) for name in index["filenames"]]
         finest = Gaussians(**{name: torch.cat([vars(each)[name] for each in chunks[:4]], 1) for name in vars(given)})
@@ -160,6 +177,73 @@ def test_styles_share_the_images_of_their_geometry(tmp_path, monkeypatch):
     coarse = [read_chunk(folder / inside, "1_0") for inside in ("styles/1-unstyled", "")]
     assert torch.equal(coarse[0].means, coarse[1].means) and torch.equal(coarse[0].opacities, coarse[1].opacities)
     torch.testing.assert_close(coarse[0].harmonics.flip(-1), coarse[1].harmonics, atol=0.03, rtol=0)
+
+
+def test_a_folder_is_read_in_its_finest_level_and_all_styles(tmp_path, monkeypatch):
+    monkeypatch.setattr(levels, "CHUNK", 128)
+    monkeypatch.setattr(levels, "COARSEST", 100)
+    styles = replace(styled(), notes=("of a street",))
+    Lod().write(styles, tmp_path / "web")
+    read = read_saved(tmp_path / "web")
+    assert read.notes[0] == "of a street"
+    for (title, found), (name, given) in zip(read.styles, styles.styles, strict=True):
+        assert title == name and found.means.shape == given.means.shape
+        assert psnr(picture(found), picture(given)) > 34
+    one = read_saved(tmp_path / "web" / "styles" / "1-unstyled").styles
+    assert [title for title, _ in one] == ["unstyled"] and torch.equal(one[0][1].means, read.styles[0][1].means)
+
+
+def test_a_leaf_is_read_in_the_finest_level_that_it_has_and_what_is_always_shown_with_it(tmp_path):
+    """As the format allows: leaves that lack levels, a chunk for several leaves, an environment without harmonics."""
+    styles = styled()
+    Lod().write(styles, tmp_path / "web")
+    Lod().write(StyledScene((("sky", scene(1, 20)),)), tmp_path / "web" / "env")
+    place = {"file": 0, "count": 100}
+    leaves = [{"lods": {"1": {**place, "offset": 300}, "2": place}}, {"lods": {"0": {**place, "offset": 0}}}]
+    index = {"filenames": ["0_0/meta.json"], "environment": "env/0_0/meta.json", "tree": {"children": leaves}}
+    whole = read_chunk(tmp_path / "web", "0_0")
+    (tmp_path / "web" / "lod-meta.json").write_text(json.dumps(index))
+    title, found = read_saved(tmp_path / "web").styles[-1]
+    assert title == "web" and found.means.shape[1] == 220
+    torch.testing.assert_close(found.means[0, :200], torch.cat([whole.means[0, 300:], whole.means[0, :100]]))
+    assert not found.harmonics[0, 200:, 1:].any() and bool(found.harmonics[0, :200, 1:].any())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda index: index.pop("tree"),
+        lambda index: index.update(filenames=["../elsewhere/meta.json"]),
+        lambda index: index["tree"]["lods"]["0"].update(offset=7),
+        lambda index: index["tree"]["lods"]["0"].update(count=10**9),
+        lambda index: index["tree"].update(lods={}),
+    ],
+)
+def test_a_damaged_index_ends_in_one_line(change, tmp_path):
+    Lod().write(styled(), tmp_path / "web")
+    file = tmp_path / "web" / "lod-meta.json"
+    index = json.loads(file.read_text())
+    change(index)
+    file.write_text(json.dumps(index))
+    with pytest.raises(UserError) as caught:
+        read_saved(tmp_path / "web")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_folder_of_splat_transform_is_read(count, tmp_path):
+    if SPLAT_TRANSFORM is None:
+        pytest.skip("splat-transform is not installed (npm install -g @playcanvas/splat-transform)")
+    given = scene(4)
+    export(given, tmp_path / "0.ply", "ply")
+    export(given.map(lambda tensor: tensor[:, ::2]), tmp_path / "1.ply", "ply")
+    tagged = [word for level in range(count) for word in (f"{tmp_path}/{level}.ply", "--tag-lod", str(level))]
+    (tmp_path / "web").mkdir()
+    subprocess.run(
+        [SPLAT_TRANSFORM, "-w", "-g", "cpu", *tagged, f"{tmp_path}/web/lod-meta.json"], check=True, capture_output=True
+    )
+    ((_, found),) = read_saved(tmp_path / "web").styles
+    assert found.means.shape == given.means.shape and psnr(picture(found), picture(given)) > 34
 
 
 def test_a_folder_of_others_is_refused_and_stays(tmp_path):
@@ -200,6 +284,38 @@ def shot(page, path):
     page.evaluate("document.body.classList.add('bare')")
     page.screenshot(path=path)
     return torch.from_numpy(np.asarray(Image.open(path).convert("RGB")) / 255)
+
+
+@pytest.mark.slow
+def test_what_is_large_on_the_screen_is_refined_first(browser, server, tmp_path, monkeypatch):
+    """Of two rooms the near one, level by level, and then the far one."""
+    monkeypatch.setattr(levels, "CHUNK", 1000)
+    monkeypatch.setattr(levels, "COARSEST", 300)
+    plain, far = scene(1, 4000), (torch.arange(4000) % 2)[:, None] * torch.tensor([0.0, 0.0, 40.0])
+    styles = StyledScene((("rooms", replace(plain, means=plain.means + far)),), camera(), ("front",))
+    Lod().write(styles, tmp_path / "scene.lod")
+    Html().write(styles, tmp_path / "scene.html")
+    index = json.loads((tmp_path / "scene.lod" / "lod-meta.json").read_text())
+    assert index["counts"] == [4000, 1095, 300]
+    near = [leaf for leaf in leaves_of(index["tree"]) if leaf["bound"]["max"][2] < 20]
+    expected = [{leaf["lods"][level]["file"] for leaf in near} for level in "10"]
+    options = {"viewport": {"width": 200, "height": 150}, "color_scheme": "light"}
+    with new_page(browser, **options) as page, new_page(browser, **options) as single:
+        errors = errors_of(page)
+        server.finest.set()
+        page.goto(f"http://127.0.0.1:{server.server_port}/")
+        wait(page, "document.body.dataset.complete")
+        asked = [path[1:] for path, _ in server.sent if path.endswith("/meta.json")]
+        chunks = [index["filenames"].index(path) for path in asked]
+        first, between, finest = chunks[:1], chunks[1 : 1 + len(expected[0])], chunks[1 + len(expected[0]) :]
+        assert index["filenames"][first[0]] == "2_0/meta.json" and sorted(chunks) == list(
+            range(len(index["filenames"]))
+        )
+        assert set(between) == expected[0] and set(finest[: len(expected[1])]) == expected[1]
+        single.goto((tmp_path / "scene.html").as_uri())
+        wait(single, "document.body.dataset.ready")
+        assert psnr(shot(page, tmp_path / "refined.png"), shot(single, tmp_path / "whole.png")) > 38
+        assert errors == []
 
 
 @pytest.mark.slow

@@ -200,7 +200,8 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
         notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
         if not any(line.startswith(MADE_OF) for line in notes):
-            notes = (*notes, note("scene", [path]))
+            files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+            notes = (*notes, note("scene", files))
         return replace(scene, notes=notes, up=up or scene.up)
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")

@@ -83,7 +83,7 @@ function colored(n, channel) {
   return texels;
 }
 
-// ---- Streaming: the coarsest level first, then the finest of each leaf of the tree, the nearest first ------------------
+// ---- Streaming: the coarsest level first, then a finer one of the leaf whose Gaussians are largest on the screen ------
 
 async function get(url) {
   const answer = await fetch(url);
@@ -110,9 +110,9 @@ async function stream(gl) {
   const index = await (await get("lod-meta.json")).json(), leaves = [], files = [], coarsest = index.lodLevels - 1;
   const walk = (node) => { if (node.children) node.children.forEach(walk); else leaves.push({ bound: node.bound, ...node.lods, level: coarsest }); };
   walk(index.tree);
-  for (const level of new Set([coarsest, 0])) for (const leaf of leaves) (files[leaf[level].file] ??= { level, n: 0 }).n += leaf[level].count;
+  for (let level = coarsest; level >= 0; level--) for (const leaf of leaves) (files[leaf[level].file] ??= { level, n: 0 }).n += leaf[level].count;
   let rows = 0;
-  for (const file of files) if (file) { file.row = rows; rows += Math.ceil(file.n / ROW); }
+  for (const file of files) { file.row = rows; rows += Math.ceil(file.n / ROW); }
 
   const open = async (folder, file) => {
     const url = new URL(folder + index.filenames[file], document.baseURI), meta = await (await get(url)).json();
@@ -135,12 +135,13 @@ async function stream(gl) {
     for (const leaf of leaves) if (leaf[files[file].level].file === file) leaf.level = files[file].level;
     return { row: files[file].row, n, means, geometries, colors };
   };
-  const away = ({ bound: { min, max } }, camera) => {
-    const to = min.map((low, k) => (low + max[k]) / 2 - camera.position[k]);
-    return Math.hypot(...to) * (dot(to, camera.axes[2]) < 0 ? 10 : 1); // what is behind comes last
+  const grain = ({ bound: { min, max }, level, [level]: { count } }, { position, axes }) => {
+    const size = Math.hypot(...plus(max, min, -1)), away = Math.hypot(...position.map((at, k) => Math.max(min[k] - at, 0, at - max[k])));
+    const behind = dot(plus(plus(min, max, 1), position, -2), axes[2]) < 0; // which comes last
+    return size / Math.sqrt(count) / (away + size / 10) / (behind ? 10 : 1);
   };
   return {
-    rows, first: await load(leaves[0][coarsest].file), parts: files.filter((file) => file).length,
+    rows, first: await load(leaves[0][coarsest].file), parts: files.length,
     // The Gaussians of each leaf, in its finest level that is there.
     shown() {
       const ranges = leaves.map(({ level, [level]: { file, offset, count } }) => [files[file].row * ROW + offset, count]);
@@ -150,8 +151,8 @@ async function stream(gl) {
       return all;
     },
     next(camera) {
-      const left = leaves.filter((leaf) => leaf.level > 0).sort((a, b) => away(a, camera) - away(b, camera));
-      return left.length ? load(left[0][0].file) : null;
+      const [leaf] = leaves.filter(({ level }) => level > 0).sort((a, b) => grain(b, camera) - grain(a, camera));
+      return leaf ? load(leaf[leaf.level - 1].file) : null;
     },
   };
 }
