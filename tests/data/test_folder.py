@@ -6,7 +6,7 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data.folder import read_views
+from anystyle.data.folder import cover, covering, read_views, tell_of_cut
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
 
@@ -220,3 +220,33 @@ def test_photographs_of_which_little_is_shown_are_named(tmp_path, caplog):
     (line,) = caplog.messages
     assert "1 of 4 photographs have another aspect than most" in line
     assert line.endswith("their middles are used, 50% of them: c")
+
+
+@pytest.mark.parametrize(("width", "height"), [(48, 64), (200, 40), (61, 133)])
+def test_a_photograph_of_another_aspect_is_kept_whole(width, height, caplog):
+    """All of its columns are there, points map back to it, and a line names it; beside it is white."""
+    across = np.linspace(0, 200, width)[None, :, None].repeat(height, 0).repeat(3, 2)
+    picture = Image.fromarray(across.astype(np.uint8))
+    view, source = cover("a", picture, (width, height), (96, 128), whole=True)
+    left, top, right, bottom = source.inside
+    assert (right - left, bottom - top) == pytest.approx(
+        (width / max(width / 128, height / 96), min(96, 128 * height / width)), abs=0.5
+    )
+    shown, inside = np.asarray(view)[..., 0].astype(float), np.zeros((96, 128), bool)
+    inside[top:bottom, left:right] = True
+    assert (shown[~inside] == 255).all() and (shown[inside] <= 201).all()
+    for column in (left, (left + right) // 2, right - 1):
+        at = source.box[0] + (column + 0.5) * (source.box[2] - source.box[0]) / 128 - 0.5
+        assert abs(shown[48, column] - 200 * at / (width - 1)) < 200 / (right - left)
+    assert np.array_equal(
+        np.asarray(source.of_view(picture.resize((width * 3, height * 3))))[~inside],
+        np.full_like(np.asarray(view)[~inside], 255),
+    )
+    tell_of_cut([source, covering("b", (96, 128), (96, 128), whole=True)])
+    (line,) = caplog.messages
+    assert "1 of 2 photographs have another aspect" in line and line.endswith("kept whole, at fewer pixels: a")
+
+
+def test_a_photograph_of_nearly_the_same_aspect_fills_its_view():
+    assert covering("a", (60, 90), (96, 128), whole=True) == covering("a", (60, 90), (96, 128))
+    assert covering("a", (60, 90), (96, 128)).inside == (0, 0, 128, 96)

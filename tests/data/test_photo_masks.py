@@ -7,10 +7,11 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data.folder import read_originals, read_views
+from anystyle.data.folder import covering, read_originals, read_views
 from anystyle.data.images import open_alpha, open_image
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
+from anystyle.types import Views
 
 WHITE = 255
 
@@ -162,3 +163,10 @@ def test_masks_that_leave_little_and_nothing(tmp_path, caplog):
     assert "invert them if black is what is to stay" in caplog.text
     assert views.alpha is None and not views.counted[0, 1].any() and views.counted[0, 0].any()
     assert two.is_file()
+
+
+def test_what_lies_beside_a_photograph_is_not_counted():
+    source = covering("a", (64, 48), (48, 64), whole=True)
+    views, report = masked_views(Views(torch.ones(1, 1, 3, 48, 64)), [source], {}, empty=False)
+    assert report == {} and views.alpha is None and views.counted is not None
+    assert views.counted[0, 0].nonzero().amin(0).tolist() == [0, 14] and views.counted.sum() == 48 * 36

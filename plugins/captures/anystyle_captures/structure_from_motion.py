@@ -19,7 +19,6 @@ from anystyle.methods.order import canonical_order
 from anystyle.types import Cameras, OnProgress, Original, no_progress
 from anystyle.vision import weights
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.frames import shared_frame
 from anystyle_captures.sfm.model import (
     LEARNED,
     LEARNED_NETWORKS,
@@ -60,12 +59,6 @@ class StructureFromMotion(PoseEstimator):
         on_progress: OnProgress,
     ) -> PosedViews | Verdict:
         """Find cameras in the frame of the most central one, whose median point lies at depth 1."""
-        if frame := shared_frame([original.picture for original in originals]):
-            logger.warning(
-                "all photographs have the same frame (%s), as screenshots of a window and films with bars have; it "
-                "becomes part of the scene unless it is cut off",
-                ", ".join(f"{side} {share:.1%}" for side, share in frame.items()),
-            )
         photographs = [
             replace(
                 Photograph.from_exif(original.name, np.array(original.picture.convert("RGB")), original.exif),
@@ -93,7 +86,7 @@ class StructureFromMotion(PoseEstimator):
         for view in registered:
             original, photograph, lens = originals[view], photographs[view], model.lens(view)
             undistorted = Image.fromarray(lens.undistorted(photograph.pixels))
-            picture, source = cover(original.name, undistorted, sizes[view], size)
+            picture, source = cover(original.name, undistorted, sizes[view], size, whole=True)
             straightened = partial(_undistorted, lens, photograph.size) if lens.is_distorted() else None
             pictures.append((picture, replace(source, path=original.path, straightened=straightened)))
             # The lens is in pixels of the photograph, which may be reduced in size.

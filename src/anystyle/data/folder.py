@@ -89,8 +89,16 @@ def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Camer
 
 
 def tell_of_cut(sources: Sequence[SourceImage]) -> None:
-    """Log a warning that names photographs of which less than :data:`SHOWN` is in their view."""
+    """Log warnings that name photographs of which less than :data:`SHOWN` is in their view, or that do not fill it."""
     shown = {source.name: _shown(source) for source in sources}
+    if whole := [source.name for source in sources if source.inside != (0, 0, *source.view_size[::-1])]:
+        _log.warning(
+            "%d of %d photographs have another aspect than most, as upright ones among wide ones; they are kept whole, "
+            "at fewer pixels: %s",
+            len(whole),
+            len(shown),
+            images.listing(whole),
+        )
     if cut := [name for name, share in shown.items() if share < SHOWN]:
         _log.warning(
             "%d of %d photographs have another aspect than most, as upright ones among wide ones; their middles are "
@@ -143,9 +151,16 @@ def read_picture(
     return covered, replace(shown, path=path, straightened=straighten)
 
 
-def covering(name: str, source: tuple[int, int], size: tuple[int, int]) -> SourceImage:
-    """What a view of ``size`` shows of a source, both height and width: its middle, as large as fits."""
-    scale = min(source[1] / size[1], source[0] / size[0])
+def covering(name: str, source: tuple[int, int], size: tuple[int, int], *, whole: bool = False) -> SourceImage:
+    """What a view of ``size`` shows of a source, both height and width: its middle, as large as fits.
+
+    If that were less than :data:`SHOWN` of it, and it is to be ``whole``, all of it in the middle of the view.
+    """
+    scale, other = sorted((source[1] / size[1], source[0] / size[0]))
+    if whole and scale < SHOWN * other:
+        (height, width), (tall, wide) = size, (round(source[0] / other), round(source[1] / other))
+        left, top, x, y = (width - wide) // 2, (height - tall) // 2, source[1] / wide, source[0] / tall
+        return SourceImage(name, source, (-left * x, -top * y, (width - left) * x, (height - top) * y), size)
     width, height = scale * size[1], scale * size[0]
     left, top = (source[1] - width) / 2, (source[0] - height) / 2
     return SourceImage(name, source, (left, top, left + width, top + height), size)
@@ -289,12 +304,8 @@ def _nothing(problems: Sequence[str]) -> NoReturn:
 
 
 def cover(
-    name: str, picture: Image.Image, source: tuple[int, int], size: tuple[int, int]
+    name: str, picture: Image.Image, source: tuple[int, int], size: tuple[int, int], *, whole: bool = False
 ) -> tuple[Image.Image, SourceImage]:
-    """A view of ``size`` from the middle of a picture, which may be a reduced copy of the source."""
-    shown = covering(name, (source[1], source[0]), size)
-    left, top, right, bottom = shown.box
-    x, y = picture.width / source[0], picture.height / source[1]
-    # Rounding may put the box a little outside of the picture, which the resampling refuses.
-    box = (left * x, top * y, min(right * x, picture.width), min(bottom * y, picture.height))
-    return picture.resize((size[1], size[0]), Image.Resampling.LANCZOS, box=box), shown
+    """A view of ``size`` from a picture, which may be a reduced copy of the source; see :func:`covering`."""
+    shown = covering(name, (source[1], source[0]), size, whole=whole)
+    return shown.resampled(picture, Image.Resampling.LANCZOS), shown

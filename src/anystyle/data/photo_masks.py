@@ -83,7 +83,8 @@ def masked_views(
 ) -> tuple[Views, dict[str, int | float]]:
     """Views of one scene with their ``alpha`` and where they are ``counted``, and what a report says of both.
 
-    Where a mask of :func:`find_masks` is black, nothing is there if ``empty``; otherwise it is unknown what is there.
+    Where a mask of :func:`find_masks` is black, nothing is there if ``empty``; otherwise it is unknown what is there,
+    as it is beside a photograph that does not fill its view.
     """
     alpha, counted = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W
     num_masks = 0
@@ -95,6 +96,10 @@ def masked_views(
         if mask is not None:
             (alpha if empty else counted)[view].mul_(_of_view(mask, source))
         num_masks += transparency is not None or mask is not None
+        left, top, right, bottom = source.inside
+        outside = torch.ones_like(counted[view], dtype=torch.bool)
+        outside[top:bottom, left:right] = False
+        counted[view].masked_fill_(outside, 0)
     counted = counted > WHITE
     nothing = (alpha * counted).flatten(1).amax(1) <= 1 - WHITE
     if nothing.any():
@@ -103,7 +108,7 @@ def masked_views(
         _log.warning("nothing is left of %d photographs, and they are ignored: %s", len(names), listing(names))
         alpha[nothing], counted[nothing] = 1.0, False
     if not num_masks:
-        return views, {}
+        return replace(views, counted=None if counted.all() else counted[None]), {}
     transparent, ignored = float((1 - alpha).mean()), float((~counted).double().mean())
     if masks and (left := (1 - transparent) * (1 - ignored)) < FEW:
         remedy = "white counts; invert them if black is what is to stay"

@@ -96,7 +96,8 @@ def style_sheet(
     """Thumbnails of views, and for each column its title, style if it has one, and thumbnails below."""
     titles, head, *_ = zip((title, None, views), *columns, strict=True)
     rows = list(zip(views, *(renders for *_, renders in columns), strict=True))
-    return contact_sheet([*([head] if any(head) else []), *rows], column_titles=titles, cell=views[0].size)
+    cell = max(view.width for view in views), max(view.height for view in views)
+    return contact_sheet([*([head] if any(head) else []), *rows], column_titles=titles, cell=cell)
 
 
 def save_png(image: Image.Image, path: Path) -> None:

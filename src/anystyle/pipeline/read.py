@@ -10,6 +10,7 @@ from torch import Tensor
 
 from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
 from anystyle.data.folder import covering, files_of, read_originals, read_views
+from anystyle.data.frames import Inner, most_common_size, shared_frame
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
@@ -139,19 +140,18 @@ def read(
 
 def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, stages: Stages) -> ReadViews:
     views, report = masked_views(given.views, given.sources, masks, empty=options.masked == "empty")
-    if not report:
-        return given
-    stages.note(
-        "masks",
-        f"of {report['photographs']} of {len(given.sources)} photographs: {report['transparent']:.0%} of the pixels "
-        f"are empty, {report['ignored']:.0%} are ignored",
-    )
-    if not given.reconstruction.needs_cameras:
+    if report:
+        stages.note(
+            "masks",
+            f"of {report['photographs']} of {len(given.sources)} photographs: {report['transparent']:.0%} of the "
+            f"pixels are empty, {report['ignored']:.0%} are ignored",
+        )
+    if not given.reconstruction.needs_cameras and (report or views.counted is not None):
         _log.warning(
             "the single pass knows no masks: what is transparent is white in it, and what masks ignore is in the "
             "scene; reconstruction=fit builds neither"
         )
-    return replace(given, views=views, report={**given.report, "masks": report})
+    return replace(given, views=views, report={**given.report, **({"masks": report} if report else {})})
 
 
 def _with_stored(
@@ -184,6 +184,12 @@ def _estimated(
         most = _max_views(paths, options, reconstruction)
         originals = read_originals(paths, longest=max(estimator.longest, 2 * short_side), max_views=most)
         originals = with_masks(originals, masks)
+    pictures = [original.picture for original in originals]
+    frame = shared_frame(pictures)
+    inner, size = Inner.of(frame), most_common_size(pictures)
+    framed = {original.name: original for original in originals if frame and original.picture.size == size}
+    if cut := options.frame == "cut" and inner.large:
+        originals = [inner.original(one) if one.name in framed else one for one in originals]
     if len(originals) < estimator.min_views:
         few = f"{len(originals)} photographs are too few for their cameras to be found"
         return Verdict("failed", (f"{few}, which takes {estimator.min_views} that overlap",), {})
@@ -191,7 +197,20 @@ def _estimated(
         posed = estimator(
             originals, short_side=short_side, enlarge=enlarge, multiple=backbone.patch_size, on_progress=on_progress
         )
+    if frame:
+        _log.warning(
+            "%d of %d photographs have the same frame (%s), as screenshots of a window and films with bars have; %s",
+            len(framed),
+            len(originals),
+            ", ".join(f"{side} {share:.1%}" for side, share in frame.items()),
+            "it is cut off (views.frame=keep keeps it)"
+            if cut and isinstance(posed, PosedViews)
+            else "it becomes part of the scene unless you cut it off",
+        )
     if isinstance(posed, PosedViews):
+        if cut:
+            sources = (inner.source(one, framed[one.name].size) if one.name in framed else one for one in posed.sources)
+            posed = replace(posed, sources=tuple(sources))
         if posed.cached:
             stages.note("cameras", "were read from the cache of an earlier run with these photographs")
         for doubt in posed.verdict.reasons:

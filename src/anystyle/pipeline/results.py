@@ -1,7 +1,7 @@
 """The last two steps: results of a stylization, restyled one at a time when they are asked for, and their files."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -30,7 +30,7 @@ from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, writ
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians, Renders, StyledScene
+from anystyle.types import Cameras, Gaussians, Renders, SourceImage, StyledScene
 from anystyle.vision.weights import License, binding, license_lines, licenses
 
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
@@ -129,7 +129,7 @@ class Result:
             if not (name in results.common_formats and self.shares(kind.shared)):
                 results.export_scene(self.scene(kind.shared), folder / f"scene.{name}", name)
         save_gaussians(gaussians, folder / "scene.safetensors")
-        renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
+        renders = self._write_renders(folder / "renders", encoded.names, self.cameras, encoded.sources)
         names, followed = encoded.targets or (encoded.names, self.cameras)
         if encoded.targets is not None:
             self._write_renders(folder / "targets", names, followed)
@@ -142,9 +142,11 @@ class Result:
             write_colmap(folder / "sparse" / "0", gaussians, cameras, sources, binary=options.colmap == "binary")
         return renders
 
-    def _write_renders(self, folder: Path, names: Sequence[str], cameras: Cameras) -> list[Image.Image]:
+    def _write_renders(
+        self, folder: Path, names: Sequence[str], cameras: Cameras, sources: Sequence[SourceImage] = ()
+    ) -> list[Image.Image]:
         folder.mkdir()
-        renders = [to_pil(image) for image in self.render(cameras)]
+        renders = _pictures_of(self.render(cameras), sources)
         for name, image in zip(names, renders, strict=True):
             save_png(image, folder / f"{name}.png")
         return renders
@@ -319,7 +321,7 @@ class Results:
 
     @cached_property
     def _photographs(self) -> list[Image.Image]:
-        return thumbnails([to_pil(image) for image in self.encoded.views.images[0]])
+        return thumbnails(_pictures_of(self.encoded.views.images[0], self.encoded.sources))
 
     @cached_property
     def before(self) -> list[Column]:
@@ -327,7 +329,18 @@ class Results:
         if self.encoded.reconstruction["kind"] == "given":
             return []
         with self.stages("render", "the unstyled scene"):
-            return [("unstyled", None, thumbnails(list(map(to_pil, self.encoded.render(self.restyler.unstyled)))))]
+            renders = _pictures_of(self.encoded.render(self.restyler.unstyled), self.encoded.sources)
+            return [("unstyled", None, thumbnails(renders))]
+
+
+def _pictures_of(images: Iterable[Float[Tensor, "3 H W"]], sources: Sequence[SourceImage]) -> list[Image.Image]:
+    """Views as pictures, without what lies beside their photographs."""
+    pictures = map(to_pil, images)
+    return (
+        [picture.crop(source.inside) for picture, source in zip(pictures, sources, strict=True)]
+        if sources
+        else [*pictures]
+    )
 
 
 def _pictures(styles: Sequence[EmbeddedStyle]) -> dict[str, Image.Image]:

@@ -134,13 +134,33 @@ class SourceImage:
 
     def of_view(self, picture: Image.Image) -> Image.Image:
         """What the view shows of an upright picture of the source, such as a mask, at any resolution."""
-        straight = picture if self.straightened is None else self.straightened(picture)
+        return self.resampled(picture if self.straightened is None else self.straightened(picture))
+
+    def resampled(self, straight: Image.Image, resample: Image.Resampling = Image.Resampling.BICUBIC) -> Image.Image:
+        """What the view shows of an undistorted picture of the source; white beside it."""
         x, y = straight.width / self.size[1], straight.height / self.size[0]
         left, top, right, bottom = self.box
-        size = (self.view_size[1], self.view_size[0])
-        # Rounding may put the box a little outside of the picture, which the resampling refuses.
-        box = (left * x, top * y, min(right * x, straight.width), min(bottom * y, straight.height))
-        return straight.resize(size, box=box)
+        # The view may be larger than the picture, and rounding may put the box a little outside of it.
+        box = (max(left, 0) * x, max(top, 0) * y, min(right * x, straight.width), min(bottom * y, straight.height))
+        inside = self.inside
+        part = straight.resize((inside[2] - inside[0], inside[3] - inside[1]), resample, box=box)
+        height, width = self.view_size
+        if part.size == (width, height):
+            return part
+        whole = Image.new(part.mode, (width, height), "white")
+        whole.paste(part, inside[:2])
+        return whole
+
+    @property
+    def inside(self) -> tuple[int, int, int, int]:
+        """Left, top, right and bottom, in pixels of the view, of what the source shows; beside it is nothing known."""
+        left, top, right, bottom = self.box
+        (height, width), (tall, wide) = self.size, self.view_size
+        x, y = wide / (right - left), tall / (bottom - top)
+        return (
+            *(max(0, round(-left * x)), max(0, round(-top * y))),
+            *(min(wide, round((width - left) * x)), min(tall, round((height - top) * y))),
+        )
 
     def source_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
         """Intrinsics in pixels of the view as intrinsics in pixels of the source."""
