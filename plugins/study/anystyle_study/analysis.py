@@ -166,8 +166,8 @@ def _equivalence(responses: Responses, margin: float, confidence: float) -> Equi
         return Equivalence(points, math.nan, False)
     low, high = crossed.interval(confidence)
     # The nearer margin decides: its statistic has the larger p-value.
-    statistic = (abs(float(crossed.mean)) - points) / float(crossed.error)
-    return Equivalence(points, t_pvalue(statistic, float(crossed.df), "less"), -points < low and high < points)
+    pvalue = t_pvalue((abs(crossed.mean) - points) / crossed.error, crossed.df, "less")
+    return Equivalence(points, pvalue, -points < low and high < points)
 
 
 def unit_means(responses: Responses, unit: Unit, confidence: float) -> tuple[Mean, ...]:

@@ -17,7 +17,7 @@ from yaml import YAMLError
 from anystyle.cli.arguments import new_parser
 from anystyle.errors import UserError, unknown
 from anystyle.io.atomic import atomic_directory
-from anystyle.io.documents import read_yaml
+from anystyle.io.documents import fit, read_yaml
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import explain
@@ -56,8 +56,7 @@ def read_plan(overrides: Sequence[str]) -> Plan:
 
 def build_tests(names: Sequence[str], overrides: Sequence[str], common: Mapping[str, Any]) -> dict[str, StudyTest]:
     """Build the named tests, all if none is named; ``common`` options are for every test that has them."""
-    chosen = dict.fromkeys(names or catalog().names("study_test"))
-    options: dict[str, dict[str, Any]] = {name: {} for name in chosen}
+    options: dict[str, dict[str, Any]] = {name: {} for name in names or catalog().names("study_test")}
     for word in overrides:
         key, equals, value = word.partition("=")
         test, dot, option = key.removeprefix("study_test.").partition(".")
@@ -219,10 +218,11 @@ def analyze_command(arguments: argparse.Namespace) -> None:
     labels = given_words(arguments.labels, scales.values() or [scale])
     given = {"failed_checks": arguments.failed_checks, "missing_share": arguments.missing}
     given |= {"straight_lining": arguments.exclude_straight_lining or None}
+    given = {name: value for name, value in given.items() if value is not None}
     settings = AnalysisOptions(
         scale=scale,
         scales=scales,
-        rules=msgspec.structs.replace(rules, **{name: value for name, value in given.items() if value is not None}),
+        rules=fit(msgspec.to_builtins(rules) | given, Rules, source="--missing", what="rule"),
         titles={question.name: question.text.replace("{method}", "A or B") for question in questions},
         study=study,
         alternative=arguments.alternative or ("two-sided" if study is None else study.plan.alternative),

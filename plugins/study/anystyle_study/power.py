@@ -145,11 +145,11 @@ def rejection_rates(
 class PowerStudy:
     """Rejection rates over numbers of participants."""
 
-    rates: tuple[Rate, ...]  # of each test and unit, by rising number of participants
-    scenario: Scenario  # the simulated studies, but for the number of participants
-    target: float  # power to reach
     level: float  # significance level of the tests
+    target: float  # power to reach
     seed: int  # seed of the simulation
+    scenario: Scenario  # the simulated studies, but for the number of participants
+    rates: tuple[Rate, ...]  # of each test and unit, by rising number of participants
 
     @property
     def by_test(self) -> dict[tuple[str, Unit], list[Rate]]:
@@ -201,18 +201,16 @@ def power_study(
         progress(f"{number} participants")
         simulated = replace(scenario, participants=number)
         rates += rejection_rates(simulated, tests, studies=studies, seed=seed, level=level)
-    return PowerStudy(tuple(rates), scenario, target, level, seed)
+    return PowerStudy(level, target, seed, scenario, tuple(rates))
 
 
 def power_json(study: PowerStudy) -> dict[str, Any]:
     """The content of ``power.json``."""
-    content = {"schema": 2} | {name: getattr(study, name) for name in ("level", "target", "seed")}
     needed = [
         {"test": test, "unit": unit, "participants": study.needed(rates), "keeps_its_level": study.valid(rates)}
         for (test, unit), rates in study.by_test.items()
     ]
-    rates = [asdict(rate) for rate in study.rates]
-    return content | {"scenario": asdict(study.scenario), "rates": rates, "participants_needed": needed}
+    return {"schema": 2} | asdict(study) | {"participants_needed": needed}
 
 
 def power_table(study: PowerStudy) -> Table:
