@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from anystyle_study.contract import Responses
 from anystyle_study.design import Sources, design
 from anystyle_study.protocol import Plan, Study, plan_from
 
@@ -30,6 +31,22 @@ def answer_rows(
                 score = 3 + deviations[person, item] * (1 if ours_is_a else -1)
                 rows.append((f"P{person:02d}", f"S{item:02d}", question, int(score), "A" if ours_is_a else "B"))
     return rows
+
+
+def table(deviations, ours_is_a=None) -> Responses:
+    """Responses of a complete table, participants by items."""
+    deviations = np.asarray(deviations, dtype=float)
+    people, items = deviations.shape
+    participant, item = np.divmod(np.arange(people * items), items)
+    return Responses(
+        question="style",
+        deviations=deviations.ravel(),
+        participants=participant,
+        items=item,
+        ours_is_a=None if ours_is_a is None else np.asarray(ours_is_a).ravel(),
+        participant_names=tuple(f"P{index}" for index in range(people)),
+        item_names=tuple(f"S{index}" for index in range(items)),
+    )
 
 
 def write_csv(path: Path, rows: Sequence[Sequence[object]], header: str = HEADER) -> Path:

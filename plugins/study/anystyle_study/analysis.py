@@ -89,7 +89,6 @@ class Position:
 class QuestionAnalysis:
     """All results of one question."""
 
-    question: str
     title: str
     responses: Responses
     distribution: dict[float, int]
@@ -144,7 +143,6 @@ def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: An
     levels = responses.scale.levels if len(responses.scale.levels) <= 11 else ()
     given = dict.fromkeys(levels, 0) | dict(zip(scores.tolist(), counts.tolist(), strict=True))
     return QuestionAnalysis(
-        question=responses.question,
         title=settings.titles.get(responses.question.partition(" vs ")[0], responses.question),
         responses=responses,
         distribution=dict(sorted(given.items())),
@@ -166,8 +164,8 @@ def _equivalence(responses: Responses, margin: float, confidence: float) -> Equi
         return Equivalence(points, math.nan, False)
     low, high = crossed.interval(confidence)
     # The nearer margin decides: its statistic has the larger p-value.
-    statistic = (abs(float(crossed.mean)) - points) / float(crossed.error)
-    return Equivalence(points, t_pvalue(statistic, float(crossed.df), "less"), -points < low and high < points)
+    pvalue = t_pvalue((abs(crossed.mean) - points) / crossed.error, crossed.df, "less")
+    return Equivalence(points, pvalue, -points < low and high < points)
 
 
 def unit_means(responses: Responses, unit: Unit, confidence: float) -> tuple[Mean, ...]:
@@ -230,7 +228,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
             "notes": checks.notes,
             "doubt": checks.doubt,
         },
-        "questions": {question.question: _question_json(question) for question in analysis.questions},
+        "questions": {one.responses.question: _question_json(one) for one in analysis.questions},
     }
     return msgspec.json.decode(msgspec.json.encode(content, enc_hook=lambda value: value.tolist()))
 

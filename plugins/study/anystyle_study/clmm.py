@@ -170,7 +170,7 @@ def fit(responses: Responses) -> OrdinalFit:
     return OrdinalFit(
         preference=float(best[0]),
         error=math.sqrt(variance),
-        df=float(Crossing(factors=responses.factors).mean(responses.deviations).df),
+        df=Crossing(factors=responses.factors).mean(responses.deviations).df,
         position=float(best[1]) if model.num_fixed > 1 else 0.0,
         sds=dict(zip(model.factors, sds.tolist(), strict=True)),
         loglikelihood=model.loglikelihood(best)[0],

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from yaml import YAMLError
 from anystyle.cli.arguments import new_parser
 from anystyle.errors import UserError, unknown
 from anystyle.io.atomic import atomic_directory
-from anystyle.io.documents import read_yaml
+from anystyle.io.documents import fit, read_yaml
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import explain
@@ -56,8 +57,7 @@ def read_plan(overrides: Sequence[str]) -> Plan:
 
 def build_tests(names: Sequence[str], overrides: Sequence[str], common: Mapping[str, Any]) -> dict[str, StudyTest]:
     """Build the named tests, all if none is named; ``common`` options are for every test that has them."""
-    chosen = dict.fromkeys(names or catalog().names("study_test"))
-    options: dict[str, dict[str, Any]] = {name: {} for name in chosen}
+    options: dict[str, dict[str, Any]] = {name: {} for name in names or catalog().names("study_test")}
     for word in overrides:
         key, equals, value = word.partition("=")
         test, dot, option = key.removeprefix("study_test.").partition(".")
@@ -219,10 +219,11 @@ def analyze_command(arguments: argparse.Namespace) -> None:
     labels = given_words(arguments.labels, scales.values() or [scale])
     given = {"failed_checks": arguments.failed_checks, "missing_share": arguments.missing}
     given |= {"straight_lining": arguments.exclude_straight_lining or None}
+    given = {name: value for name, value in given.items() if value is not None}
     settings = AnalysisOptions(
         scale=scale,
         scales=scales,
-        rules=msgspec.structs.replace(rules, **{name: value for name, value in given.items() if value is not None}),
+        rules=fit(msgspec.to_builtins(rules) | given, Rules, source="--missing", what="rule"),
         titles={question.name: question.text.replace("{method}", "A or B") for question in questions},
         study=study,
         alternative=arguments.alternative or ("two-sided" if study is None else study.plan.alternative),
@@ -238,7 +239,7 @@ def analyze_command(arguments: argparse.Namespace) -> None:
         _write(analysis, folder, arguments)
     print(wording.took_part(analysis))
     for question in analysis.questions:
-        print(f"{question.question}: {wording.verdict(analysis, question)}")
+        print(f"{question.responses.question}: {wording.verdict(analysis, question)}")
     for item in analysis.checks.exclusions:
         print(f"excluded: {item.participant} ({item.rule})")
     print(arguments.out / ("analysis.json" if arguments.no_report else "report.html"))
@@ -262,17 +263,7 @@ def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> N
 
 
 _POWER_TESTS = ["one_sample_t", "wilcoxon", "crossed_t"]
-_SCENARIO = {
-    "items": "sets that each participant judges",
-    "scenes": "number of scenes",
-    "styles": "number of styles",
-    "pool": "sets in all, of which each participant judges a part; 0 for all",
-    "participant_sd": "SD between participants",
-    "item_sd": "SD between sets",
-    "scene_sd": "SD between scenes",
-    "style_sd": "SD between styles",
-    "residual_sd": "SD between single answers",
-}
+_SCENARIO = [option for option in fields(Scenario) if "help" in option.metadata]
 
 
 def power_parser() -> argparse.ArgumentParser:
@@ -286,9 +277,9 @@ def power_parser() -> argparse.ArgumentParser:
     add = flags.add_argument
     add("options", nargs="*", metavar="TEST.OPTION=VALUE", help="options of the tests")
     add("--participants", type=int, nargs="+", default=[6, 10, 20, 40, 80], help=f"numbers to try {default}")
-    for name, text in _SCENARIO.items():
-        value = getattr(Scenario(), name)
-        add(f"--{name.replace('_', '-')}", type=type(value), default=value, help=f"{text} {default}")
+    for option in _SCENARIO:
+        flag, about = f"--{option.name.replace('_', '-')}", f"{option.metadata['help']} {default}"
+        add(flag, type=type(option.default), default=option.default, help=about)
     add("--effect", type=float, default=-0.3, help=f"preference in points {default}")
     alternative = f"of the tests; less claims that ours is preferred {default}"
     add("--alternative", choices=("two-sided", "less", "greater"), default="two-sided", help=alternative)
@@ -308,7 +299,7 @@ def power_command(arguments: argparse.Namespace) -> None:
     common = {"alternative": arguments.alternative, "seed": arguments.seed}
     tests = build_tests(arguments.test or _POWER_TESTS, arguments.options, common)
     study = power_study(
-        Scenario(effect=arguments.effect, **{name: getattr(arguments, name) for name in _SCENARIO}),
+        Scenario(effect=arguments.effect, **{option.name: getattr(arguments, option.name) for option in _SCENARIO}),
         tests,
         **{name: getattr(arguments, name) for name in ("participants", "studies", "seed", "level", "target")},
         progress=lambda text: print(f"{text} …", file=sys.stderr, flush=True),

@@ -44,7 +44,7 @@ def design(sources: Sources, plan: Plan, out: Path) -> Study:
     if answers:
         raise UserError(f"{answers[0]} holds answers to the study that is there; design another one elsewhere")
     results = {name: pictures.find_results(name, folder) for name, folder in sources.methods.items()}
-    style_files, contents = pictures.find_styles(sources.styles), pictures.find_contents(sources.contents)
+    style_files, contents = pictures.find_styles(sources.styles), pictures.frames_by_name(sources.contents, "contents")
     usable, left_out = _usable(results, style_files, contents)
     generator = np.random.default_rng(plan.seed)
     scenes, styles = (sorted(set(names)) for names in zip(*usable, strict=True))
@@ -112,9 +112,6 @@ class _Writer:
         self.digest = hashlib.sha256()
         self.written: dict[bytes, tuple[str, ...]] = {}
 
-    def picture(self, image: Image.Image) -> str:
-        return self.views([image])[0]
-
     def views(self, images: Sequence[Image.Image]) -> tuple[str, ...]:
         """The files of the images, or of one video of them with its first image as the poster."""
         pixels = hashlib.sha256(b"".join(image.tobytes() for image in images)).digest()
@@ -171,7 +168,7 @@ def _item(
         return Item(*about, ours, theirs, content, text=text)
     style = pictures.read_picture(file)
     size = pictures.fitted_size(style.size, writer.plan.image_size)
-    reference = writer.picture(style.resize(size, Image.Resampling.LANCZOS))
+    (reference,) = writer.views([style.resize(size, Image.Resampling.LANCZOS)])
     return Item(*about, ours, theirs, content, reference=reference)
 
 

@@ -1,8 +1,8 @@
 """Tables of text from CSV, JSON and SQLite files, in the encodings and forms that people's programs save."""
 
-import codecs
 import csv
 import io
+import json
 import logging
 import re
 import sqlite3
@@ -19,9 +19,6 @@ log = logging.getLogger(__name__)
 
 _MAX_BYTES = 256 << 20
 _WORKBOOKS = (b"PK\3\4", b"\xd0\xcf\x11\xe0")
-# UTF-32 first: its mark begins as that of UTF-16 does.
-_MARKS = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32"}
-_MARKS |= {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 
 class Sheet(NamedTuple):
@@ -59,16 +56,13 @@ def _decoded(content: bytes, source: str) -> str:
     """Text in UTF-8, UTF-16 or UTF-32; other bytes are read as Windows-1252, and that is told."""
     if content.startswith(_WORKBOOKS):
         raise UserError(f"{source} is a workbook or an archive; save its sheet of answers as CSV UTF-8")
-    # In UTF-16 without a mark, every other byte of a plain header is 0.
-    unmarked = {b"\0\0": "utf-16-be"}.get(content[:3:2], "utf-8-sig")
-    unmarked = {b"\0\0": "utf-16-le"}.get(content[1:4:2], unmarked)
-    encoding = next((name for mark, name in _MARKS.items() if content.startswith(mark)), unmarked)
+    encoding = json.detect_encoding(content)  # by a mark, or by the zeros in a plain header
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as error:
         wrong = f"{source} is not {encoding.removesuffix('-sig').upper()} text (at byte {error.start})"
         try:
-            text = content.decode("cp1252") if encoding == "utf-8-sig" else ""
+            text = content.decode("cp1252") if encoding.startswith("utf-8") else ""
         except UnicodeDecodeError:
             text = ""
     if not text:

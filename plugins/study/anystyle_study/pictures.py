@@ -37,8 +37,8 @@ def _entries(folder: Path, kind: str) -> list[Path]:
     return [entry for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
 
 
-def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
-    """Images of the files and folders in a folder, by their names without suffix."""
+def frames_by_name(folder: Path, kind: str) -> dict[str, list[Path]]:
+    """Images laid out as ``NAME.jpg`` or ``NAME/FRAMES``, by name; ``kind`` names the folder in errors."""
     entries = [(entry, frames_in(entry)) for entry in _entries(folder, kind)]
     return {entry.stem if entry.is_file() else entry.name: frames for entry, frames in entries if frames}
 
@@ -46,15 +46,10 @@ def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
 def find_results(method: str, folder: Path) -> ResultPaths:
     """Results laid out as ``SCENE/STYLE.png`` or ``SCENE/STYLE/FRAMES``."""
     scenes = [path for path in _entries(folder, f"method {method}:") if path.is_dir()]
-    frames_of = {(path.name, style): frames for path in scenes for style, frames in _frames(path, "scene").items()}
-    if not frames_of:
+    found = {(path.name, style): of for path in scenes for style, of in frames_by_name(path, "scene").items()}
+    if not found:
         raise UserError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
-    return frames_of
-
-
-def find_contents(folder: Path) -> dict[str, list[Path]]:
-    """Photographs laid out as ``SCENE.jpg`` or ``SCENE/FRAMES``, by scene."""
-    return _frames(folder, "contents")
+    return found
 
 
 def find_styles(folder: Path) -> dict[str, Path]:

@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,19 +21,20 @@ class Scenario:
 
     A latent opinion, the sum of ``effect`` and of normal effects of participant, set, scene, style and noise, all in
     points of the scale, is rounded to the nearest answer. Without an effect, answers are symmetric about neutral.
+    Fields with a help text are flags of ``anystyle study power``.
     """
 
     participants: int = 40  # number of participants
-    items: int = 20  # sets that each participant judges
-    scenes: int = 4  # number of scenes, over which the sets are spread evenly
-    styles: int = 5  # number of styles, likewise
-    pool: int = 0  # sets in all; 0 for as many as each participant judges
+    items: int = field(default=20, metadata={"help": "sets that each participant judges"})
+    scenes: int = field(default=4, metadata={"help": "number of scenes"})  # over which the sets are spread evenly
+    styles: int = field(default=5, metadata={"help": "number of styles"})  # likewise
+    pool: int = field(default=0, metadata={"help": "sets in all, of which each participant judges a part; 0 for all"})
     effect: float = 0.0  # mean preference in points; negative prefers ours
-    participant_sd: float = 0.5  # SD between participants
-    item_sd: float = 0.2  # SD between sets of one scene and style
-    scene_sd: float = 0.1  # SD between scenes
-    style_sd: float = 0.1  # SD between styles
-    residual_sd: float = 1.0  # SD of single opinions
+    participant_sd: float = field(default=0.5, metadata={"help": "SD between participants"})
+    item_sd: float = field(default=0.2, metadata={"help": "SD between sets"})  # of one scene and style
+    scene_sd: float = field(default=0.1, metadata={"help": "SD between scenes"})
+    style_sd: float = field(default=0.1, metadata={"help": "SD between styles"})
+    residual_sd: float = field(default=1.0, metadata={"help": "SD between single answers"})
     scale: Scale = Scale()  # noqa: RUF009 (frozen)  # the answer scale
 
     def __post_init__(self) -> None:
@@ -145,11 +146,11 @@ def rejection_rates(
 class PowerStudy:
     """Rejection rates over numbers of participants."""
 
-    rates: tuple[Rate, ...]  # of each test and unit, by rising number of participants
-    scenario: Scenario  # the simulated studies, but for the number of participants
-    target: float  # power to reach
     level: float  # significance level of the tests
+    target: float  # power to reach
     seed: int  # seed of the simulation
+    scenario: Scenario  # the simulated studies, but for the number of participants
+    rates: tuple[Rate, ...]  # of each test and unit, by rising number of participants
 
     @property
     def by_test(self) -> dict[tuple[str, Unit], list[Rate]]:
@@ -201,18 +202,16 @@ def power_study(
         progress(f"{number} participants")
         simulated = replace(scenario, participants=number)
         rates += rejection_rates(simulated, tests, studies=studies, seed=seed, level=level)
-    return PowerStudy(tuple(rates), scenario, target, level, seed)
+    return PowerStudy(level, target, seed, scenario, tuple(rates))
 
 
 def power_json(study: PowerStudy) -> dict[str, Any]:
     """The content of ``power.json``."""
-    content = {"schema": 2} | {name: getattr(study, name) for name in ("level", "target", "seed")}
     needed = [
         {"test": test, "unit": unit, "participants": study.needed(rates), "keeps_its_level": study.valid(rates)}
         for (test, unit), rates in study.by_test.items()
     ]
-    rates = [asdict(rate) for rate in study.rates]
-    return content | {"scenario": asdict(study.scenario), "rates": rates, "participants_needed": needed}
+    return {"schema": 2} | asdict(study) | {"participants_needed": needed}
 
 
 def power_table(study: PowerStudy) -> Table:

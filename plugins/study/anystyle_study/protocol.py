@@ -4,14 +4,14 @@ import re
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 import msgspec
 
 from anystyle.errors import UserError, unknown
-from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import fit, read_json
+from anystyle.ranges import Fraction, Range
 from anystyle_study.contract import Alternative, Scale
 
 
@@ -55,13 +55,9 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     failed_checks: int | None = 0  # attention checks that a participant may fail; ``None`` excludes nobody for them
     straight_lining: bool = False  # whether to exclude (not only list) participants who gave one answer throughout
-    missing_share: float = 0.5  # fraction of missing answers above which a participant is excluded
-    min_seconds: float = 0.0  # sets answered faster are listed; 0 lists none
-    fast_share: float = 0.25  # fraction of such sets above which a participant is excluded
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.missing_share <= 1 and 0 <= self.fast_share <= 1 and 0 <= self.min_seconds < 3600):
-            raise UserError("rules: expected shares from 0 to 1 and seconds from 0 to 3600")
+    missing_share: Fraction = 0.5  # fraction of missing answers above which a participant is excluded
+    min_seconds: Annotated[float, Range(ge=0, lt=3600)] = 0.0  # sets answered faster are listed; 0 lists none
+    fast_share: Fraction = 0.25  # fraction of such sets above which a participant is excluded
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -77,10 +73,10 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     pool: int = 0  # sets in all; 0 for as many as each participant judges
     # ``ours`` against each of the other methods, or ``all`` pairs of methods, of which each set shows one
     pairs: Literal["ours", "all"] = "ours"
-    views: int = 1  # views of each method in a set
+    views: Annotated[int, Range(ge=1, le=240)] = 1  # views of each method in a set
     # all views in a ``grid``, one at a time as a ``flipbook``, or as a looping ``video``
     show: Literal["grid", "flipbook", "video"] = "grid"
-    frames_per_second: int = 10  # of flipbooks and videos
+    frames_per_second: Annotated[int, Range(ge=1, le=60)] = 10  # of flipbooks and videos
     degraded: int = 0  # attention checks in which one side is degraded, so that the answer is known
     repeats: int = 0  # attention checks that show a set again with the sides exchanged
     rules: Rules = Rules()  # exclusion rules
@@ -90,7 +86,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     id_parameters: tuple[str, ...] = ()
     completion_url: str = ""  # where participants go at the end; ``{code}`` stands for the code
     completion_code: str = ""  # shown at the end, once every answer is stored
-    image_size: int = 512  # longer side of every picture, in pixels
+    image_size: Annotated[int, Range(ge=64, le=4096)] = 512  # longer side of every picture, in pixels
     seed: int = 0  # seed of all draws
 
     def __post_init__(self) -> None:
@@ -108,10 +104,9 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise UserError("questions: expected at least one")
         if self.show == "grid" and self.views > 6:
             raise UserError(f"views={self.views} are too many for a grid; plan at most 6, or show=flipbook or video")
-        ranges = {"views": (1, 240), "frames_per_second": (1, 60), "image_size": (64, 4096)}
-        for name, (low, high) in (ranges | dict.fromkeys(("degraded", "repeats"), (0, self.sets // 2))).items():
-            if not low <= getattr(self, name) <= high:
-                raise UserError(f"{name}={getattr(self, name)}; expected {low} to {high}")
+        for name, count in (("degraded", self.degraded), ("repeats", self.repeats)):
+            if not 0 <= count <= self.sets // 2:
+                raise UserError(f"{name}={count}; expected 0 to {self.sets // 2}")
         if self.completion_url and urlsplit(self.completion_url).scheme not in ("http", "https"):
             raise UserError(f"completion_url={self.completion_url!r}; expected an address that begins with https://")
 
@@ -224,8 +219,8 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     def write(self, folder: Path) -> None:
         """Write ``study.json``."""
-        with atomic_path(folder / FILE) as path:
-            path.write_bytes(msgspec.json.format(msgspec.json.encode(self, order="deterministic"), indent=1) + b"\n")
+        text = msgspec.json.format(msgspec.json.encode(self, order="deterministic"), indent=1)
+        (folder / FILE).write_bytes(text + b"\n")
 
 
 def read_study(path: Path) -> Study:

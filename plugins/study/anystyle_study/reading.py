@@ -83,12 +83,12 @@ def read_responses(
         raise UserError("no file of responses is given; name CSV, JSON or SQLite files, or a folder of them")
     tables = {file: _rows(file, wide=wide, columns=columns, study=study) for file in files}
     answers = [answer for file, table in tables.items() for answer in _answers(*table, file.name, study, labels)]
-    people = dict.fromkeys(answer.participant for answer in answers)
-    assigned = {} if study is None else {person: study.num_items(person) for person in people}
+    people = {answer.participant for answer in answers}
+    assigned = {} if study is None else {person: count for person in people if (count := study.num_items(person))}
     rows = [row for table, _ in tables.values() for row in table]
     return Records(
         answers=tuple(answers),
-        assigned={person: count for person, count in assigned.items() if count},
+        assigned=assigned,
         comments=tuple(dict.fromkeys((row["participant"], row["comment"]) for row in rows if row.get("comment"))),
         unused=tuple(dict.fromkeys(name for table, _ in tables.values() for name in table[0] if name not in _KNOWN)),
         sources=tuple(file.name for file in files),

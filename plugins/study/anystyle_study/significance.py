@@ -54,20 +54,20 @@ class CrossedT(Significance):
         if (crossed := crossed_mean(responses)) is None:
             reason = f"{drawn or 'one participant, one item'}: the means do not vary, and nothing can be tested"
             return replace(self.untestable(responses, reason, method), unit="participant", n=people)
-        statistic, df = float(crossed.mean / crossed.error), float(crossed.df)
+        statistic = crossed.mean / crossed.error
         effect = superiority(responses, self.confidence, self.alternative)
         return self.result(
             responses,
             unit="participant",
             statistic=statistic,
-            pvalue=t_pvalue(statistic, df, self.alternative),
-            estimate=float(crossed.mean),
+            pvalue=t_pvalue(statistic, crossed.df, self.alternative),
+            estimate=crossed.mean,
             interval=crossed.interval(self.confidence, self.alternative),
             effect=effect.estimate,
             effect_name=effect.name,
             effect_interval=effect.interval,
             n=people,
-            method=f"{method}, {np.round(df, 1):g} degrees of freedom (Satterthwaite)",
+            method=f"{method}, {np.round(crossed.df, 1):g} degrees of freedom (Satterthwaite)",
             generalizes_to=responses.populations,
         )
 

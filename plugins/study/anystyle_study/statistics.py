@@ -50,16 +50,16 @@ def holm(pvalues: Sequence[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class CrossedMean:
-    """A mean over crossed random factors; arrays if several columns of answers were given at once."""
+    """A mean over crossed random factors."""
 
-    mean: Float[np.ndarray, "*R"]  # of all answers
-    error: Float[np.ndarray, "*R"]  # its standard error for new levels of every factor; 0 if nothing varies
-    df: Float[np.ndarray, "*R"]  # its degrees of freedom
-    components: Float[np.ndarray, " F *R"]  # variance of each factor and, last, of single answers; at least 0
+    mean: float  # of all answers
+    error: float  # its standard error for new levels of every factor; 0 if nothing varies
+    df: float  # its degrees of freedom
+    components: Float[np.ndarray, " F+1"]  # variance of each factor and, last, of single answers; at least 0
 
     def interval(self, confidence: float, alternative: Alternative = "two-sided") -> tuple[float, float]:
-        """Confidence interval of the mean of a single column; ``nan`` if nothing varies."""
-        return t_interval(float(self.mean), float(self.error), float(self.df), confidence, alternative)
+        """Confidence interval of the mean; ``nan`` if nothing varies."""
+        return t_interval(self.mean, self.error, self.df, confidence, alternative)
 
 
 class Crossing:
@@ -84,21 +84,19 @@ class Crossing:
         self._inverse = np.linalg.pinv(traces, rcond=1e-10)
         self._weights = self._inverse.T @ (squares / n**2)
 
-    def mean(self, values: Float[np.ndarray, " N *R"]) -> CrossedMean:
-        """The mean of ``values``, column by column if they are a matrix."""
-        mean = values.mean(0)
+    def mean(self, values: Float[np.ndarray, " N"]) -> CrossedMean:
+        """The mean of a value for each answer."""
+        mean = values.mean()
         residuals = values - mean
-        sums = [(np.asarray(members @ residuals) ** 2).sum(0) for members in self._members]
-        squares = np.stack([*sums, (residuals**2).sum(0)])
-        per_level = np.array(self._levels / (self._levels - 1) / self._n**2)
-        alone = (squares[:-1].T * per_level).T  # the variance if each factor were the only one
+        sums = [((members @ residuals) ** 2).sum() for members in self._members]
+        squares = np.array([*sums, (residuals**2).sum()])
+        alone = squares[:-1] * (self._levels / (self._levels - 1) / self._n**2)  # if each factor were the only one
         # A variance below that of a single factor comes from a negative component.
-        variance = np.maximum(np.tensordot(self._weights, squares, 1), alone.max(0))
+        variance = max(self._weights @ squares, alone.max())
         with np.errstate(invalid="ignore", divide="ignore"):
-            df = variance**2 / np.tensordot(1 / (self._levels - 1), alone**2, 1)
-        components = np.maximum(np.tensordot(self._inverse, squares, 1), 0.0)
-        error = np.sqrt(np.where(variance > 1e-24, variance, 0.0))
-        return CrossedMean(np.asarray(mean), np.asarray(error), np.asarray(df), components)
+            df = variance**2 / (1 / (self._levels - 1) @ alone**2)
+        error = math.sqrt(variance) if variance > 1e-24 else 0.0
+        return CrossedMean(float(mean), error, float(df), np.maximum(self._inverse @ squares, 0.0))
 
 
 def crossed_mean(responses: Responses) -> CrossedMean | None:
@@ -128,7 +126,7 @@ def variation(responses: Responses) -> Variation | None:
     naive = float(responses.deviations.var(ddof=1)) / n if crossed else 0.0
     if crossed is None or naive <= 1e-24:
         return None
-    effect = float(crossed.error) ** 2 / naive
+    effect = crossed.error**2 / naive
     sds = dict(zip([*responses.factors, "answers"], np.sqrt(crossed.components).tolist(), strict=True))
     naive_error_rate = 2 * float(special.ndtr(special.ndtri(0.025) / math.sqrt(effect)))
     return Variation(sds, design_effect=effect, effective_answers=n / effect, naive_error_rate=naive_error_rate)
@@ -165,7 +163,7 @@ def effects(responses: Responses, confidence: float = 0.95, alternative: Alterna
     # The influence of each answer on mean / SD (the delta method).
     standard = (values - mean) / sd
     crossed = Crossing(factors=factors).mean(standard - mean / sd * (standard**2 - 1) / 2)
-    interval = t_interval(mean / sd, float(crossed.error), float(crossed.df), confidence, alternative)
+    interval = t_interval(mean / sd, crossed.error, crossed.df, confidence, alternative)
     return [Effect("cohens_d", mean / sd, interval), probability]
 
 

@@ -16,8 +16,8 @@ from anystyle_study.reading import read_responses
 from tests.support.study_cases import answer_rows, write_csv
 
 
-def judged(path, rules=None, scale=None):
-    return check(read_responses([path]), scale=scale or Scale(), rules=rules or Rules())
+def judged(path, rules=None, scale=None, **reading):
+    return check(read_responses([path], **reading), scale=scale or Scale(), rules=rules or Rules())
 
 
 def table_of(responses):
@@ -181,8 +181,7 @@ def rewritten(rows, score, separator=","):
 )
 def test_answers_are_read_as_spreadsheets_write_them(tmp_path, rows, caplog, write, told):
     (tmp_path / "r.csv").write_bytes(write(rows))
-    records = read_responses([tmp_path / "r.csv"], labels=scale_words(AB, 1))
-    _, by_question = check(records, scale=Scale(), rules=Rules())
+    _, by_question = judged(tmp_path / "r.csv", labels=scale_words(AB, 1))
     assert agree(by_question, [(p.replace("P00", "Zo\xe9") if "Zo" in told else p, *row) for p, *row in rows])
     assert told in caplog.text and bool(told) == bool(caplog.records)
 
@@ -211,8 +210,7 @@ def test_words_without_a_score_are_listed_with_what_to_type(tmp_path, rows):
     with pytest.raises(ValueError, match=r"row \d+: score is .*'Unsure' \(\d+\).*--labels WORD=SCORE WORD=NA$"):
         judged(tmp_path / "r.csv")
     words = given_words([[label.lower() for label in AB], ["Unsure=NA", "A is better=2"]], [Scale()])
-    rules = Rules(missing_share=1)
-    checks, (style, _) = check(read_responses([tmp_path / "r.csv"], labels=words), scale=Scale(), rules=rules)
+    checks, (style, _) = judged(tmp_path / "r.csv", Rules(missing_share=1), labels=words)
     unsure = sum(row[3] == 3 for row in rows)
     assert checks.answers_used == checks.answers_read == len(rows) - unsure
     assert sum(count for counts in checks.missing.values() for count in counts.values()) == unsure
@@ -260,8 +258,7 @@ def test_questions_of_a_form_are_described_by_a_table(tmp_path, rows, caplog):
     with pytest.raises(ValueError, match="has no columns '13'; expected one of 'First', 'Which, of A and B"):
         read_responses([tmp_path / "w.csv"], columns=tmp_path / "key.csv")
     write_csv(tmp_path / "w.csv", table[1:], ",".join(table[0]))
-    records = read_responses([tmp_path / "w.csv"], columns=tmp_path / "key.csv")
-    assert agree(check(records, scale=Scale(), rules=Rules())[1], rows)
+    assert agree(judged(tmp_path / "w.csv", columns=tmp_path / "key.csv")[1], rows)
     with pytest.raises(ValueError, match=r"no column says which set .* 'Timestamp', .*ITEM:QUESTION.*--columns FILE"):
         read_responses([tmp_path / "w.csv"], wide=True)
 

@@ -262,7 +262,7 @@ def test_a_study_with_answers_is_not_replaced(tmp_path):
         ({"questions": [{**QUESTIONS[0], "labels": ["only one"]}]}, "at least two labels"),
         ({"degraded": 3}, "degraded=3; expected 0 to 2"),
         ({"views": 7}, "too many for a grid"),
-        ({"rules": {"fast_share": 2.0}}, "shares from 0 to 1"),
+        ({"rules": {"fast_share": 2.0}}, "<= 1.0 - at 'rules.fast_share'"),
         ({"completion_url": "javascript:alert(1)"}, "begins with https"),
         ({"participants": "many"}, "Expected 'int', got 'str' - at 'participants'"),
         ({"participant": 40}, "Did you mean 'participants'"),

@@ -86,9 +86,8 @@ def test_the_static_page_from_first_click_to_saved_answers(page, errors, designe
     assert (saved["study"], saved["participant"], saved["comment"]) == (study.id, "P02", '=cmd|"x"\n<i>fine</i>')
     assert {(row["item"], row["question"], row["side"]): row["score"] for row in saved["responses"]} == chosen
     check_positions(study, file, "P02", chosen)
-    assert set(saved["responses"][0]) == {
-        *("participant", "item", "question", "side", "score", "seconds", "time", "revision")
-    }
+    columns = ("participant", "item", "question", "side", "score", "seconds", "time", "revision")
+    assert set(saved["responses"][0]) == set(columns)
     assert errors == []
 
 

@@ -7,15 +7,20 @@ from tests.support.browser import accessible, phone, wait
 from tests.support.study_cases import AB, LOADED, begin, small_study
 
 
+def show(page, tmp_path, code, **plan):
+    """The first set of a study of two, with every picture."""
+    study, folder = small_study(tmp_path, sets=2, **plan)
+    write_page(study, folder, tmp_path / "form.html")
+    begin(page, f"{(tmp_path / 'form.html').as_uri()}#{code}")
+    wait(page, LOADED)
+
+
 @pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 800, False), (390, 844, True)])
 @pytest.mark.parametrize("views", [1, 3])
 def test_pictures_are_side_by_side_in_one_size_on_every_screen(page, tmp_path, width, height, mobile, views):
-    study, folder = small_study(tmp_path, frames=3, views=views, sets=2)
-    write_page(study, folder, tmp_path / "form.html")
     if mobile:
         phone(page, width, height)
-    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P03")
-    wait(page, LOADED)
+    show(page, tmp_path, "P03", frames=3, views=views)
     box = "(i) => { const r = i.getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; }"
     boxes = page.evaluate(f"[...document.querySelectorAll('.method img')].map({box})")
     assert len(boxes) == 2 * views
@@ -33,11 +38,8 @@ def test_pictures_are_side_by_side_in_one_size_on_every_screen(page, tmp_path, w
 
 
 def test_videos_play_in_step_and_can_be_stopped(page, tmp_path):
-    study, folder = small_study(tmp_path, frames=8, views=8, sets=2, show="video", frames_per_second=4)
-    write_page(study, folder, tmp_path / "form.html")
     page.emulate_media(reduced_motion="reduce")
-    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
-    wait(page, LOADED)
+    show(page, tmp_path, "P01", frames=8, views=8, show="video", frames_per_second=4)
     times = "[...document.querySelectorAll('video')].map((video) => video.currentTime)"
     assert page.evaluate(f"{times}.length") == 3
     assert page.evaluate(f"{times}.every((time) => time === 0)")  # for who does not bear motion
@@ -50,10 +52,7 @@ def test_videos_play_in_step_and_can_be_stopped(page, tmp_path):
 
 
 def test_flip_books_turn_together(page, tmp_path):
-    study, folder = small_study(tmp_path, frames=4, views=4, sets=2, show="flipbook")
-    write_page(study, folder, tmp_path / "form.html")
-    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
-    wait(page, LOADED)
+    show(page, tmp_path, "P01", frames=4, views=4, show="flipbook")
     stacks = "[...document.querySelectorAll('.stack')].filter((stack) => stack.children.length > 1)"
     turned = f"{stacks}.map((stack) => [...stack.children].findIndex((view) => !view.hidden))"
     wait(page, f"{turned}.join() === '2,2,2'")  # by themselves
@@ -65,10 +64,7 @@ def test_flip_books_turn_together(page, tmp_path):
 
 
 def test_a_screen_reader_is_told_everything(page, tmp_path):
-    study, folder = small_study(tmp_path, frames=2, views=2, sets=2)
-    write_page(study, folder, tmp_path / "form.html")
-    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P04")
-    wait(page, LOADED)
+    show(page, tmp_path, "P04", frames=2, views=2)
     told = set(accessible(page))
     assert {
         *(("image", f"{name}, view {view} of 2") for name in ("A", "B", "The original") for view in (1, 2)),

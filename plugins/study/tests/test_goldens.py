@@ -11,6 +11,7 @@ from anystyle_study import clmm
 from anystyle_study.contract import Responses
 from anystyle_study.significance import OneSampleT, Wilcoxon
 from anystyle_study.statistics import Crossing
+from tests.support.study_cases import table
 
 GOLDENS = json.loads((Path(__file__).parent / "r" / "goldens.json").read_text())
 STUDIES = GOLDENS["studies"]
@@ -49,16 +50,7 @@ def test_t_and_wilcoxon_equal_r(name, unit):
 
 def test_the_exact_wilcoxon_test_and_its_interval_equal_r():
     golden = GOLDENS["exact"]
-    values = np.array(golden["values"])
-    rows = Responses(
-        question="golden",
-        deviations=values,
-        participants=np.arange(len(values)),
-        items=np.zeros(len(values), dtype=int),
-        participant_names=tuple(map(str, values)),
-        item_names=("0",),
-    )
-    result = Wilcoxon()(rows)
+    result = Wilcoxon()(table(np.array(golden["values"])[:, None]))
     assert (result.pvalue, result.estimate) == pytest.approx((golden["p"], golden["median"]), rel=1e-9)
     assert result.interval == pytest.approx(golden["interval"], abs=1e-9)
 
@@ -66,8 +58,8 @@ def test_the_exact_wilcoxon_test_and_its_interval_equal_r():
 def test_the_crossed_mean_of_a_complete_table_equals_lmer():
     golden, rows = STUDIES["complete"]["crossed"], responses("complete")
     crossed = Crossing(factors=rows.factors).mean(rows.deviations)
-    assert float(crossed.mean) == pytest.approx(golden["mean"], abs=1e-9)
-    assert float(crossed.error) == pytest.approx(golden["error"], rel=1e-4)
+    assert crossed.mean == pytest.approx(golden["mean"], abs=1e-9)
+    assert crossed.error == pytest.approx(golden["error"], rel=1e-4)
     names = ("participant", "item", "scene", "style", "Residual")
     assert crossed.components == pytest.approx([golden["components"][name] for name in names], rel=2e-3, abs=2e-5)
 
@@ -76,8 +68,8 @@ def test_the_crossed_mean_of_an_incomplete_table_is_near_lmer():
     """REML weighs participants and items otherwise than moments do: the same to a part of a standard error."""
     golden, rows = STUDIES["incomplete"]["crossed"], responses("incomplete")
     crossed = Crossing(factors=rows.factors).mean(rows.deviations)
-    assert float(crossed.mean) == pytest.approx(golden["mean"], abs=0.25 * golden["error"])
-    assert float(crossed.error) == pytest.approx(golden["error"], rel=0.15)
+    assert crossed.mean == pytest.approx(golden["mean"], abs=0.25 * golden["error"])
+    assert crossed.error == pytest.approx(golden["error"], rel=0.15)
 
 
 @pytest.mark.parametrize("shared", [False, True])

@@ -90,31 +90,21 @@ def test_power_as_table_and_data(study: PowerStudy):
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("scenario", "options", "told"),
     [
-        ({"participants": ()}, "--participants"),
-        ({"participants": (1,)}, "at least 2"),
-        ({"studies": 0}, "studies=0"),
-        ({"target": 1.0}, "target=1"),
+        ({}, {"participants": ()}, "--participants"),
+        ({}, {"participants": (1,)}, "at least 2"),
+        ({}, {"studies": 0}, "studies=0"),
+        ({}, {"target": 1.0}, "target=1"),
+        ({"effect": 0.0}, {}, "an effect of 0"),
+        ({"item_sd": -1.0}, {}, "negative"),
+        ({"participants": 0}, {}, "0 participants"),
+        ({"items": 20, "scenes": 4, "styles": 3}, {}, "make 12 sets"),
     ],
 )
-def test_power_of_nothing_is_refused(changes, told):
+def test_power_of_nothing_is_refused(scenario, options, told):
     with pytest.raises(ValueError, match=told):
-        power_study(Scenario(effect=-0.2), {}, **{"participants": (4,), "studies": 5, **changes})
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({}, "an effect of 0"),
-        ({"item_sd": -1.0}, "negative"),
-        ({"participants": 0}, "0 participants"),
-        ({"items": 20, "scenes": 4, "styles": 3}, "make 12 sets"),
-    ],
-)
-def test_scenarios_that_cannot_be_are_refused(changes, told):
-    with pytest.raises(ValueError, match=told):
-        power_study(Scenario(**changes), {}, participants=(4,))
+        power_study(Scenario(**{"effect": -0.2, **scenario}), {}, **{"participants": (4,), "studies": 5, **options})
 
 
 def test_simulated_studies_have_the_design_of_a_drawn_one():

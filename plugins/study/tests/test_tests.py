@@ -12,22 +12,7 @@ from anystyle_study import clmm
 from anystyle_study.contract import Responses
 from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
 from anystyle_study.statistics import Crossing, effects, holm, krippendorff_alpha
-
-
-def table(deviations, ours_is_a=None) -> Responses:
-    """Responses of a complete table, participants by items."""
-    deviations = np.asarray(deviations, dtype=float)
-    people, items = deviations.shape
-    participant, item = np.divmod(np.arange(people * items), items)
-    return Responses(
-        question="style",
-        deviations=deviations.ravel(),
-        participants=participant,
-        items=item,
-        ours_is_a=None if ours_is_a is None else np.asarray(ours_is_a).ravel(),
-        participant_names=tuple(f"P{index}" for index in range(people)),
-        item_names=tuple(f"S{index}" for index in range(items)),
-    )
+from tests.support.study_cases import table
 
 
 def answers(seed: int, people: int = 40, items: int = 20, shift: float = -0.3) -> Responses:

@@ -8,6 +8,7 @@ import numpy as np
 
 from anystyle.testing.subject import Subject
 from anystyle_study.contract import Responses, StudyTest, TestResult, Unit
+from anystyle_study.power import Scenario, simulate
 
 
 def test_results_are_complete(plugin: Subject[StudyTest]) -> None:
@@ -61,18 +62,8 @@ def test_testing_twice_is_the_same(plugin: Subject[StudyTest]) -> None:
 
 def _answers(mean: float, participants: int = 12, items: int = 5) -> Responses:
     """Whole steps of the scale from 1 to 5, so that there are ties as in real answers."""
-    random = np.random.default_rng(5)
-    count = participants * items
-    scores = np.clip(np.rint(mean + random.normal(0, 1.0, count)), -2, 2)
-    return Responses(
-        question="style",
-        deviations=scores.astype(np.float64),
-        participants=np.repeat(np.arange(participants), items),
-        items=np.tile(np.arange(items), participants),
-        participant_names=tuple(f"p{index}" for index in range(participants)),
-        item_names=tuple(f"i{index}" for index in range(items)),
-        ours_is_a=random.random(count) < 0.5,
-    )
+    (answers,) = simulate(Scenario(participants=participants, items=items, effect=mean), 1, seed=5)
+    return answers
 
 
 def _result(plugin: Subject[StudyTest], answers: Responses, unit: Unit) -> TestResult:
