@@ -34,7 +34,7 @@ class ViewConfidence(Value):
     it is 1.
 
     Args:
-        points: Of the scene.
+        points: Centres of the Gaussians that are looked at.
         directions: Unit vectors from points to cameras; 0 where a point is not in the image.
         spacing: The angle in radians up to which a direction counts as that of a photograph.
     """
@@ -50,9 +50,7 @@ class ViewConfidence(Value):
         points = points[:: -(-len(points) // POINTS) or 1]
         inside = _projected(points, cameras, MARGIN)[1]
         directions = F.normalize(cameras.world_from_camera[0, :, None, :3, 3] - points, dim=-1) * inside[..., None]
-        some = directions[:, ::8]
-        cosines = torch.einsum("vpc,wpc->vwp", some, some)
-        nearest = (cosines - 2 * torch.eye(len(some)).to(some)[..., None]).amax(1)
+        nearest = _nearest_cosines(directions[:, ::8])
         between, (least, most) = torch.acos(nearest[nearest > 0].clamp(max=1)), SPACING
         return cls(points, directions, min(max(float(between.quantile(0.9)), least), most) if len(between) else least)
 
@@ -76,6 +74,16 @@ class ViewConfidence(Value):
         weights = (torch.exp(-apart / NEAR**2) + 1e-6 * torch.exp(-apart / FAR**2)) * (count > 0)
         mean = (weights * (total / count.clamp_min(1))).sum(1) / weights.sum(1)  # not a number if there are no points
         return F.interpolate(mean.nan_to_num(1.0).view(1, 1, *CELLS), camera.size, mode="bilinear")[0].clamp(0, 1)
+
+
+def _nearest_cosines(directions: Float[Tensor, "V P 3"]) -> Float[Tensor, "V P"]:
+    """Of the angles between each direction and the nearest of another view."""
+    nearest = []
+    for view, own in enumerate(directions):
+        cosines = (directions * own).sum(-1)
+        cosines[view] = -1
+        nearest.append(cosines.amax(0))
+    return torch.stack(nearest)
 
 
 def _projected(
