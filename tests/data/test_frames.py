@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from anystyle.reconstructions.feedforward import Feedforward
 from PIL import Image, ImageDraw
 
 import anystyle
@@ -16,6 +15,7 @@ from anystyle.examples import resolved
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.read import _estimated
 from anystyle.pipeline.stages import Stages
+from anystyle.reconstructions import Feedforward
 from anystyle.testing.toy.pose_estimator import ToyPoseEstimator
 from anystyle.types import Original
 
