@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 
 from anystyle.errors import UserError
 from anystyle_study.contract import Scale
@@ -23,26 +22,21 @@ _NUMBERED = (
 )
 
 
-@dataclass(frozen=True)
 class AnswerColumn:
-    """How the numbers of a column are written."""
+    """How the numbers of a column are written, as its cells show; ``semicolons`` separate those of the whole table."""
 
-    mark: str  # the decimal mark that they show; empty if they show none, or both
-    semicolons: bool = False  # whether semicolons separate the cells of the table
-
-    @classmethod
-    def of(cls, cells: Sequence[str], *, semicolons: bool = False) -> "AnswerColumn":
-        """The column of these cells."""
+    def __init__(self, cells: Sequence[str] = (), *, semicolons: bool = False) -> None:
         marked = [(_mark(cell), cell) for cell in map(_joined, cells)]
         marks = {mark for mark, cell in marked if mark and _NUMBER[mark].fullmatch(cell)}
-        return cls(marks.pop() if len(marks) == 1 else "", semicolons)
+        self._mark = marks.pop() if len(marks) == 1 else ""  # the decimal mark; empty if they show none, or both
+        self._semicolons = semicolons
 
     def number(self, cell: str) -> float | None:
         """The number in a cell, ``nan`` if it is missing; ``None`` if it has no number, or 1.0 might also be 1000."""
         text = _joined(cell)
         if plain(text) in _MISSING:
             return math.nan
-        mark = _mark(text) or self.mark or ("," * self.semicolons if "," in text else ".")
+        mark = _mark(text) or self._mark or ("," * self._semicolons if "," in text else ".")
         if not (mark and _NUMBER[mark].fullmatch(text)):
             return None
         return float(text.replace("," if mark == "." else ".", "").replace(mark, "."))
@@ -101,7 +95,7 @@ def _pairs(group: Sequence[str]) -> dict[str, float] | None:
     found: dict[str, float] = {}
     for label in group:
         word, _, text = label.rpartition("=")
-        value = AnswerColumn("").number(text)
+        value = AnswerColumn().number(text)
         if not word or value is None:
             return None
         found[plain(word)] = value

@@ -145,7 +145,7 @@ def _answers(
     if not placed and study is None:
         raise UserError(f"{source} does not say where ours was: give the design with --study, or add ours_is")
     columns = {
-        name: AnswerColumn.of([row.get(name, "") for row in rows], semicolons=semicolons)
+        name: AnswerColumn([row.get(name, "") for row in rows], semicolons=semicolons)
         for name in ("score", "expected", "seconds")
     }
     questions = () if study is None else study.plan.questions

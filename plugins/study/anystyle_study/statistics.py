@@ -99,11 +99,11 @@ class Crossing:
         return CrossedMean(float(mean), error, float(df), np.maximum(self._inverse @ squares, 0.0))
 
 
-def crossed_mean(responses: Responses) -> CrossedMean | None:
-    """The mean deviation over the factors of the answers; ``None`` if nothing varies."""
+def crossed_mean(responses: Responses, values: Float[np.ndarray, " N"] | None = None) -> CrossedMean | None:
+    """The mean of ``values`` (default: the deviations) over the answers' factors; ``None`` if nothing varies."""
     if not responses.factors:
         return None
-    crossed = Crossing(factors=responses.factors).mean(responses.deviations)
+    crossed = Crossing(factors=responses.factors).mean(responses.deviations if values is None else values)
     return None if crossed.error == 0 else crossed
 
 
@@ -121,12 +121,10 @@ class Variation:
 
 def variation(responses: Responses) -> Variation | None:
     """Variance components of the answers; ``None`` if there are none to estimate."""
-    n = responses.count
-    crossed = crossed_mean(responses) if n >= 3 else None
-    naive = float(responses.deviations.var(ddof=1)) / n if crossed else 0.0
-    if crossed is None or naive <= 1e-24:
+    n, crossed = responses.count, crossed_mean(responses)
+    if crossed is None or n < 3:
         return None
-    effect = crossed.error**2 / naive
+    effect = crossed.error**2 / (float(responses.deviations.var(ddof=1)) / n)
     sds = dict(zip([*responses.factors, "answers"], np.sqrt(crossed.components).tolist(), strict=True))
     naive_error_rate = 2 * float(special.ndtr(special.ndtri(0.025) / math.sqrt(effect)))
     return Variation(sds, design_effect=effect, effective_answers=n / effect, naive_error_rate=naive_error_rate)
@@ -145,11 +143,10 @@ def superiority(responses: Responses, confidence: float = 0.95, alternative: Alt
     """Probability that an answer prefers ours, ties counted half."""
     preferring = (1 - np.sign(responses.deviations)) / 2
     interval = math.nan, math.nan
-    if responses.factors:
+    if (crossed := crossed_mean(responses, preferring)) is not None:
         sides: dict[Alternative, Alternative] = {"less": "greater", "greater": "less", "two-sided": "two-sided"}
-        crossed = Crossing(factors=responses.factors).mean(preferring)
         low, high = crossed.interval(confidence, sides[alternative])
-        interval = (low, high) if math.isnan(low) else (max(low, 0.0), min(high, 1.0))
+        interval = max(low, 0.0), min(high, 1.0)
     return Effect("probability_of_superiority", float(preferring.mean()), interval)
 
 

@@ -200,7 +200,7 @@ def test_answers_are_read_as_spreadsheets_write_them(tmp_path, rows, caplog, wri
     ],
 )
 def test_numbers_of_a_column(cells, semicolons, numbers):
-    column = AnswerColumn.of(cells, semicolons=semicolons)
+    column = AnswerColumn(cells, semicolons=semicolons)
     assert [column.number(cell) for cell in cells] == pytest.approx(numbers, nan_ok=True) or numbers == [None] * 6
     assert [column.number(cell) is None for cell in cells] == [number is None for number in numbers]
 
@@ -218,7 +218,7 @@ def test_words_without_a_score_are_listed_with_what_to_type(tmp_path, rows):
     for labels in ([AB[:4]], [AB, ["No difference=2"]], [[*AB[:4], AB[0]]]):
         with pytest.raises(ValueError, match="--labels"):
             given_words(labels, [Scale()])
-    assert AnswerColumn("").score("5: no difference", words) is None
+    assert AnswerColumn().score("5: no difference", words) is None
     assert given_scale([AB * 2]) == Scale(1, 10)
     assert given_scale([["a=1", "b=9"]]) == Scale()
 
