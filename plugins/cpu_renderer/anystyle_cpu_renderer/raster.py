@@ -70,7 +70,7 @@ class SortedSplats(NamedTuple):
         """The splats of each tile in a row of tiles of an image of a height and width."""
         offsets, top, splats = np.empty(-(-size[1] // WIDTH) + 1, np.int64), row * HEIGHT, self.copies[self.of(row)]
         bottom = min(HEIGHT, size[0] - top) - 1
-        return Tiles(tiles_of(splats, nearest_first(splats), top, bottom, size[1], offsets), offsets)
+        return Tiles(tiles_of(splats, top, bottom, size[1], offsets), offsets)
 
 
 HEIGHT, WIDTH = 32, 16
@@ -87,12 +87,9 @@ MARGIN = np.float32(0.01)
 
 
 @compiled
-def nearest_first(splats: Array) -> Array:
-    """Indices of splats, nearest first: a stable radix sort, for bits of positive floats are ordered."""
-    n = splats.shape[0]
-    depths = np.empty(n, np.float32)
-    for i in range(n):
-        depths[i] = splats[i, 9]
+def nearest_first(depths: Array) -> Array:
+    """Indices of positive depths, nearest first: a stable radix sort, for bits of positive floats are ordered."""
+    n = depths.shape[0]
     keys = depths.view(np.uint32)
     source, target = np.arange(n).astype(np.int32), np.empty(n, np.int32)
     counts = np.empty(2048, np.int64)
@@ -158,31 +155,41 @@ def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: floa
 
 
 @compiled
-def tiles_of(splats: Array, order: Array, top: int, bottom: int, width: int, offsets: Array) -> Array:
-    """List the splats of every tile in a row of tiles, in an order.
+def tiles_of(splats: Array, top: int, bottom: int, width: int, offsets: Array) -> Array:
+    """List the splats of every tile in a row of tiles, nearest first.
 
     ``[entries, 3]``: the splat, the first row of the tile that it covers, one past the last, which is the same for a
     splat that only seemed to reach the tile.
     """
-    columns = offsets.shape[0] - 1
+    columns, number = offsets.shape[0] - 1, splats.shape[0]
+    depths, starts, spans = (
+        np.empty(number, np.float32),
+        np.zeros(number + 1, np.int32),
+        np.empty((number, 2), np.int16),
+    )
     offsets[:] = 0
-    for g in range(splats.shape[0]):
+    for g in range(number):
+        depths[g] = splats[g, 9]
         first, last = span(float(splats[g, 0]), float(splats[g, 10]), WIDTH, columns)
+        spans[g, 0], spans[g, 1], starts[g + 1] = first, last, starts[g] + last + 1 - first
         for column in range(first, last + 1):
             offsets[column + 1] += 1
     for column in range(columns):
         offsets[column + 1] += offsets[column]
-    cursor, lists = offsets[:-1].copy(), np.empty((offsets[columns], 3), np.int32)
-    for i in range(order.shape[0]):
-        g = order[i]
-        first, last = span(float(splats[g, 0]), float(splats[g, 10]), WIDTH, columns)
+    # Splats are read in the order in which they lie in memory, and only their rows in that of their depths.
+    rows = np.empty((offsets[columns], 2), np.int16)
+    for g in range(number):
         y = np.float32(splats[g, 1] - top - 0.5)
-        for column in range(first, last + 1):
-            x = np.float32(splats[g, 0] - column * WIDTH - 0.5)
+        for column in range(spans[g, 0], spans[g, 1] + 1):
+            x, entry = np.float32(splats[g, 0] - column * WIDTH - 0.5), starts[g] + column - spans[g, 0]
             border = min(WIDTH, width - column * WIDTH) - 1
-            entry = lists[cursor[column]]
-            entry[0] = g
-            entry[1], entry[2] = reach(splats, g, x, y, np.float32(border), np.float32(bottom))
+            rows[entry, 0], rows[entry, 1] = reach(splats, g, x, y, np.float32(border), np.float32(bottom))
+    cursor, lists, order = offsets[:-1].copy(), np.empty((offsets[columns], 3), np.int32), nearest_first(depths)
+    for i in range(number):
+        g = order[i]
+        for column in range(spans[g, 0], spans[g, 1] + 1):
+            entry, listed = starts[g] + column - spans[g, 0], cursor[column]
+            lists[listed, 0], lists[listed, 1], lists[listed, 2] = g, rows[entry, 0], rows[entry, 1]
             cursor[column] += 1
     return lists
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from anystyle.contracts import LinearView, Renderer
 from anystyle.errors import UserError
-from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.io.cache import LRUCache
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Tokens, Views
 
@@ -139,6 +139,21 @@ def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) ->
     return torch.stack(confidence)
 
 
+def kept_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Float[Tensor, "3 H W"] | None:
+    """The render of a view by its linear view, if that is kept, as those are that colours were solved for with.
+
+    ``None`` where it is not, and where colours depend on the direction.
+    """
+    try:
+        made = _VIEWS[_views_key(gaussians, camera, renderer)][2][_bytes(camera)]
+    except KeyError:
+        return None
+    if isinstance(made, _Differentiated) or gaussians.harmonics.shape[2] > 1:
+        return None
+    colors = rgb_from_constant(gaussians.harmonics[0, :, 0].detach()).clamp_min(0)
+    return (made(colors) + made.background).clamp(0, 1)
+
+
 def _conjugate_gradients(
     system: "_System",
     targets: Float[Tensor, "V 3 H W"],
@@ -236,14 +251,14 @@ class _System:
         return made
 
     def forget_others(self, views: list[int]) -> None:
-        """Make room in memory: only linear views of some views will be needed."""
+        """Make room in memory where linear views of some views, which will be needed, have none."""
         needed = {_bytes(self.cameras.select([view])) for view in views}
-        for key in self._kept.keys() - needed:
+        for key in self._kept.keys() - needed if not needed <= self._kept.keys() else ():
             del self._kept[key]
 
     @property
     def _kept(self) -> dict[bytes, LinearView]:
-        key = (*_geometry(self.gaussians), self.cameras.size, id(self.renderer))
+        key = _views_key(self.gaussians, self.cameras, self.renderer)
         return _VIEWS.get(key, lambda: (self.gaussians, self.renderer, {}))[2]
 
     def covered(self, view: int) -> Float[Tensor, " N"]:
@@ -296,12 +311,19 @@ def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _Syst
 
 
 def _identity(system: _System) -> tuple[object, ...]:
-    return (*_geometry(system.gaussians), _bytes(system.cameras), system.cameras.size, id(system.renderer))
+    gaussians, cameras = system.gaussians, system.cameras
+    return (*_places(*vars(gaussians).values()), _bytes(cameras), cameras.size, id(system.renderer))
 
 
-def _geometry(gaussians: Gaussians) -> tuple[object, ...]:
+def _views_key(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> tuple[object, ...]:
+    """What linear views depend on besides their cameras: colours are not of it."""
+    shapes = gaussians.means, gaussians.rotations, gaussians.scales, gaussians.opacities
+    return (*_places(*shapes), cameras.size, id(renderer))
+
+
+def _places(*tensors: Tensor) -> tuple[object, ...]:
     # What is cached holds its Gaussians, so that no others can lie where they do.
-    return tuple((tensor.data_ptr(), tensor.shape, tensor._version) for tensor in vars(gaussians).values())
+    return tuple((tensor.data_ptr(), tensor.shape, tensor._version) for tensor in tensors)
 
 
 def _bytes(cameras: Cameras) -> bytes:
