@@ -19,7 +19,7 @@ from anystyle_formats.packing import Columns, cuts, kd_order, morton_order
 CHUNK = 65_536
 """Gaussians in a chunk at most: with all attributes but view-dependent colour, less than a megabyte."""
 COARSEST = 49_152
-"""Gaussians of the coarsest level; each finer one has at most four times as many, all the same factor."""
+"""Gaussians of the coarsest level; each finer one has about four times as many, all by one factor."""
 NEIGHBOURS = 4
 """The nearest Gaussians that one may be merged with."""
 
@@ -58,7 +58,7 @@ def levels_of(columns: Columns) -> list[Level]:
     order, rank = kd_order(columns.means, depth), np.argsort(morton_order(columns.means))
     order = order[np.lexsort((rank[order], leaf))]
     levels = [Level(Columns(*(column[order] for column in columns)), leaf)]
-    steps = max(0, ceil(log(count / COARSEST, 4))) if 5 * count >= 6 * COARSEST else 0
+    steps = max(1, round(log(count / COARSEST, 4))) if 5 * count >= 6 * COARSEST else 0
     for step in range(1, steps + 1):
         levels.append(coarser(levels[-1], round(count * (COARSEST / count) ** (step / steps))))
     return levels
