@@ -19,7 +19,7 @@ from anystyle_formats.packing import Columns, cuts, kd_order, morton_order
 CHUNK = 65_536
 """Gaussians in a chunk at most: with all attributes but view-dependent colour, less than a megabyte."""
 COARSEST = 49_152
-"""Gaussians of the coarsest level; each finer one has at most four times as many, all the same factor."""
+"""Gaussians of the coarsest level; each finer one has about four times as many, all by one factor."""
 NEIGHBOURS = 4
 """The nearest Gaussians that one may be merged with."""
 
@@ -58,7 +58,7 @@ def levels_of(columns: Columns) -> list[Level]:
     order, rank = kd_order(columns.means, depth), np.argsort(morton_order(columns.means))
     order = order[np.lexsort((rank[order], leaf))]
     levels = [Level(Columns(*(column[order] for column in columns)), leaf)]
-    steps = max(0, ceil(log(count / COARSEST, 4))) if 5 * count >= 6 * COARSEST else 0
+    steps = max(1, round(log(count / COARSEST, 4))) if 5 * count >= 6 * COARSEST else 0
     for step in range(1, steps + 1):
         levels.append(coarser(levels[-1], round(count * (COARSEST / count) ** (step / steps))))
     return levels
@@ -96,7 +96,7 @@ def moments_of(columns: Columns) -> Moments:
 
 
 def columns_with(moments: Moments) -> Columns:
-    """Gaussians with given moments, unless an opacity would exceed 1."""
+    """Gaussians with given moments."""
     variances, axes = np.linalg.eigh(moments.covariances)
     axes[..., 0] *= np.linalg.det(axes)[:, None]  # eigenvectors may be mirrored
     rotations = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
@@ -105,15 +105,16 @@ def columns_with(moments: Moments) -> Columns:
 
 
 def merged(first: Moments, second: Moments) -> Moments:
-    """The moments of pairs."""
+    """The moments of pairs, unless an opacity would exceed 1."""
     share = first.masses / (first.masses + second.masses)
 
     def mean(ones: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
         weights = share.reshape(-1, *(1,) * (ones.ndim - 1))
         return weights * ones + (1 - weights) * others
 
-    masses, means = first.masses + second.masses, mean(first.means, second.means)
-    return Moments(masses, means, _spread(first, second), mean(first.harmonics, second.harmonics))
+    spread = _spread(first, second)
+    masses = np.minimum(first.masses + second.masses, np.maximum(area(spread), 1e-30))  # of opacity 1 at most
+    return Moments(masses, mean(first.means, second.means), spread, mean(first.harmonics, second.harmonics))
 
 
 def _spread(first: Moments, second: Moments) -> Float[np.ndarray, "N 3 3"]:

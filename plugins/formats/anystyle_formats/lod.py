@@ -68,10 +68,10 @@ class Lod(Format):
         with reading(files[-1], "index of streamed SOG") as remarks:
             found = [_finest(file) for file in files]
             titles = [index.get("asset", {}).get("title", file.parent.resolve().stem) for file, index, _ in found]
-            means, offset = near(found[-1][2].means, remarks)
-            read = [gaussians(remarks, means, *columns[1:]) for _, _, columns in found]
+            placed = [(near(columns.means, remarks), columns) for _, _, columns in found]
+            read = [gaussians(remarks, means, *columns[1:]) for (means, _), columns in placed]
             notes = notes_of(found[-1][1])
-        return StyledScene(tuple(zip(map(str, titles), read, strict=True)), notes=notes, offset=offset)
+        return StyledScene(tuple(zip(map(str, titles), read, strict=True)), notes=notes, offset=placed[-1][0][1])
 
 
 def _finest(file: Path) -> tuple[Path, dict[str, Any], Columns]:

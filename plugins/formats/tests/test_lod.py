@@ -112,8 +112,8 @@ def test_ranges_of_leaves_fill_every_chunk(monkeypatch):
     made = levels_of(faint(700))
     index = index_of(made)
     leaves = leaves_of(index["tree"])
-    assert index["counts"] == [700, 270, 104, 40] and index["count"] == 1114 and index["lodLevels"] == 4
-    assert len(leaves) == 16 and len(index["filenames"]) == 16 + 8 + 2 + 1
+    assert index["counts"] == [700, 167, 40] and index["count"] == 907 and index["lodLevels"] == 3
+    assert len(leaves) == 16 and len(index["filenames"]) == 16 + 4 + 1
     for number, level in enumerate(made):
         rows = 0
         for file in dict.fromkeys(leaf["lods"][str(number)]["file"] for leaf in leaves):
