@@ -209,11 +209,15 @@ def _match_aliked(
     folder: Path, names: Sequence[str], options: SearchOptions, choose: Choose, threads: int, on_progress: OnProgress
 ) -> None:
     """ALIKED features, and LightGlue's matches, verified as those of SIFT, into the database."""
-    from anystyle_captures.sfm.learned import Features, Matcher, on_threads  # kornia, for this search alone
+    from anystyle_captures.sfm.learned import (  # kornia, for this search alone
+        AlikedLightGlue,
+        DetectedFeatures,
+        on_threads,
+    )
 
-    path, matcher, features = folder / "database.db", Matcher(options.num_features), list[Features]()
+    path, matcher, features = folder / "database.db", AlikedLightGlue(options.num_features), list[DetectedFeatures]()
 
-    def detect(name: str) -> Features:
+    def detect(name: str) -> DetectedFeatures:
         mask = np.asarray(Image.open(_mask_of(folder, name))) if _mask_of(folder, name).exists() else None
         return matcher.features(np.asarray(Image.open(folder / name)), mask)
 

@@ -18,12 +18,12 @@ from anystyle.vision import weights
 from anystyle_captures.sfm.model import LEARNED_NETWORKS
 
 Array = np.ndarray
-Given = TypeVar("Given")
-Made = TypeVar("Made")
+Task = TypeVar("Task")
+Computed = TypeVar("Computed")
 Network = TypeVar("Network", bound=nn.Module)
 
 
-class Features(NamedTuple):
+class DetectedFeatures(NamedTuple):
     """What was detected in one photograph."""
 
     size: tuple[int, int]  # height and width in pixels
@@ -31,7 +31,7 @@ class Features(NamedTuple):
     descriptors: Float[Tensor, "N 128"]  # of unit length
 
 
-class Matcher:
+class AlikedLightGlue:
     """Detects features of photographs and matches them in pairs, on the CPU, bit for bit whatever the threads.
 
     Args:
@@ -48,16 +48,16 @@ class Matcher:
         self.lightglue = _loaded(network, glue, "confidence_thresholds")
 
     @torch.inference_mode()
-    def features(self, pixels: UInt8[Array, "H W 3"], mask: UInt8[Array, "H W"] | None = None) -> Features:
+    def features(self, pixels: UInt8[Array, "H W 3"], mask: UInt8[Array, "H W"] | None = None) -> DetectedFeatures:
         """The features of an sRGB photograph, the strongest first; none where the mask is black."""
         image = torch.tensor(pixels).permute(2, 0, 1)[None] / 255
         counts = None if mask is None else torch.tensor(mask > 127)[None, None]
         frames, scores, descriptors = self.aliked.forward_laf(image, counts, compute_affine=False)
         order = scores[0, :, 0].argsort(descending=True, stable=True)
-        return Features(pixels.shape[:2], frames[0, order, :, 2], descriptors[0, order])
+        return DetectedFeatures(pixels.shape[:2], frames[0, order, :, 2], descriptors[0, order])
 
     @torch.inference_mode()
-    def matches(self, pair: tuple[Features, Features]) -> UInt32[Array, "M 2"]:
+    def matches(self, pair: tuple[DetectedFeatures, DetectedFeatures]) -> UInt32[Array, "M 2"]:
         """Indices of features in both photographs that show the same thing."""
         given = {
             f"image{number}": {
@@ -70,7 +70,7 @@ class Matcher:
         return self.lightglue(given)["matches"][0].numpy().astype(np.uint32)
 
 
-def on_threads(make: Callable[[Given], Made], given: Iterable[Given], threads: int) -> Iterator[Made]:
+def on_threads(make: Callable[[Task], Computed], given: Iterable[Task], threads: int) -> Iterator[Computed]:
     """As ``map``, on several threads of which each computes alone, since sums shared among threads depend on these."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -25,9 +25,9 @@ SIFT = SearchOptions(min_side=256, max_side=256)
 
 @pytest.fixture(scope="module")
 def matcher():
-    from anystyle_captures.sfm.learned import Matcher
+    from anystyle_captures.sfm.learned import AlikedLightGlue
 
-    return Matcher(1500)
+    return AlikedLightGlue(1500)
 
 
 def cuts():
