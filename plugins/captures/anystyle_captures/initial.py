@@ -14,10 +14,12 @@ from anystyle_captures.stereo import StereoDepth
 
 BACKDROP = 3.0
 """The backdrop, such as sky, lies behind nearly all known depths by this factor."""
-SURROUND = 0.5
-"""The backdrop extends beyond every photograph by this fraction of its sides."""
+SURROUND = 1.0
+"""The backdrop extends beyond every photograph by this fraction of its sides: views from elsewhere see past them."""
 NEIGHBORS = 3
-"""The scale of a Gaussian is the mean distance of this many nearest ones."""
+"""The scale of a Gaussian is a fraction of the mean distance to this many nearest ones."""
+SURFACE, OVERLAP = 0.7, 1.4
+"""That fraction, and that of the backdrop, which is to be opaque where no photograph teaches it."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def backdrop(
     pixels = torch.cat([inside, _drawn(around, num_gaussians, generator) - torch.tensor([0, bottom, right])])
     known = stereo.depth[supported]
     far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)
-    return lift(images, cameras, far.expand(len(pixels)), pixels, largest=float("inf"))
+    return lift(images, cameras, far.expand(len(pixels)), pixels, largest=float("inf"), fraction=OVERLAP)
 
 
 def _drawn(mask: Bool[Tensor, "V H W"], count: int, generator: torch.Generator) -> Int[Tensor, "N 3"]:
@@ -97,6 +99,7 @@ def lift(
     depth: Float[Tensor, " N"],
     pixels: Int[Tensor, "N 3"],
     largest: float = 6.0,
+    fraction: float = SURFACE,
 ) -> InitialGaussians:
     """Gaussians at pixels of known depth, as large as the gaps between them."""
     view, y, x = pixels.unbind(1)
@@ -111,7 +114,7 @@ def lift(
     y, x = y.clamp(0, images.shape[-2] - 1), x.clamp(0, images.shape[-1] - 1)
     return InitialGaussians(
         means=means.float(),
-        scales=(0.7 * gaps.clamp(0.5 * footprints, largest * footprints)).float(),
+        scales=(fraction * gaps.clamp(0.5 * footprints, largest * footprints)).float(),
         colors=images[view, :, y, x],
         footprints=footprints.float(),
         pixels=torch.stack([view, y, x], dim=1),
