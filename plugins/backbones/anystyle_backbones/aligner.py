@@ -1,8 +1,10 @@
 """Camera poses from matches: an alternative to regressing them that a small network can learn."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -66,6 +68,43 @@ RADIUS = 2
 """Radius of the window of cells around the likeliest one over which the position of a match is averaged."""
 
 
+class ViewMatches(NamedTuple):
+    """Where points of views after the first, row by row, are in the first, and how surely."""
+
+    cells: Float[Tensor, "B v P 2"]  # column and row, averaged around the likeliest cell
+    confidence: Float[Tensor, "B v P"]  # that both are each other's likeliest
+    grid: tuple[int, int]  # rows and columns
+
+    @classmethod
+    @torch.no_grad()
+    def of(cls, correlation: Float[Tensor, "B v r c r c"]) -> "ViewMatches":
+        """The matches of a correlation."""
+        rows, columns = correlation.shape[-2:]
+        logits = correlation.flatten(4).flatten(2, 3)
+        with torch.autocast(correlation.device.type, enabled=False):
+            probability = logits.softmax(-1)
+            mutual = probability * logits.softmax(-2)
+        best = mutual.argmax(-1)
+        row, column = best // columns, best % columns
+        total, confidence = torch.zeros_like(mutual[..., 0]), torch.zeros_like(mutual[..., 0])
+        cells = torch.zeros(*best.shape, 2, device=best.device)
+        for dy, dx in product(range(-RADIUS, RADIUS + 1), repeat=2):
+            y, x = row + dy, column + dx
+            inside = (y >= 0) & (y < rows) & (x >= 0) & (x < columns)
+            index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1))[..., None]
+            mass = probability.gather(-1, index)[..., 0] * inside
+            total = total + mass
+            cells = cells + mass[..., None] * torch.stack([x, y], dim=-1)
+            confidence = confidence + mutual.gather(-1, index)[..., 0] * inside
+        return cls(cells / total.clamp_min(1e-12)[..., None], confidence, (rows, columns))
+
+    @classmethod
+    def cat(cls, matches: Sequence["ViewMatches"]) -> "ViewMatches":
+        """Those of several parts of the same views."""
+        cells, confidence, grids = zip(*matches, strict=True)
+        return cls(torch.cat(cells, dim=1), torch.cat(confidence, dim=1), grids[0])
+
+
 class Aligner(nn.Module):
     """Align every camera with the reference view by matching points.
 
@@ -101,22 +140,36 @@ class Aligner(nn.Module):
             back = order.argsort(dim=1)
             aligned = self.aligned(geometry.map(lambda tensor: in_order(tensor, order)), in_order(images, order))
             return aligned.map(lambda tensor: in_order(tensor, back))
-        correlation = self.correlation(images)
-        with torch.autocast(images.device.type, enabled=False):
-            pose = self(correlation, geometry.cameras, geometry.depth)
+        if self.training or images.shape[1] == 1:
+            pose = self(self.correlation(images), geometry.cameras, geometry.depth)
+        else:  # one view at a time: a correlation grows with the fourth power of an image's side
+            pairs = (self.correlation(images[:, [0, view]]) for view in range(1, images.shape[1]))
+            pose = self.poses(ViewMatches.cat([*map(ViewMatches.of, pairs)]), geometry.cameras, geometry.depth)
         return replace(geometry, cameras=replace(geometry.cameras, world_from_camera=pose))
 
-    @torch.no_grad()
     def forward(
         self, correlation: Float[Tensor, "B v r c r c"], cameras: Cameras, depth: Float[Tensor, "B V H W"]
+    ) -> Float[Tensor, "B V 4 4"]:
+        """Poses from the matches of a correlation."""
+        return self.poses(ViewMatches.of(correlation), cameras, depth)
+
+    @torch.no_grad()
+    def poses(
+        self, matches: ViewMatches, cameras: Cameras, depth: Float[Tensor, "B V H W"]
     ) -> Float[Tensor, "B V 4 4"]:
         """Poses, the first view's at the origin and the others where they fit; of the cameras intrinsics are used.
 
         They carry no gradient: matches and depth are supervised directly, and poses from bad matches only add noise.
         """
+        with torch.autocast(depth.device.type, enabled=False):
+            return self._poses(matches, cameras, depth)
+
+    def _poses(
+        self, matches: ViewMatches, cameras: Cameras, depth: Float[Tensor, "B V H W"]
+    ) -> Float[Tensor, "B V 4 4"]:
         batch, views = depth.shape[:2]
-        (height, width), (rows, columns) = cameras.size, correlation.shape[-2:]
-        cell, weight = _matches(correlation.flatten(0, 1))
+        (height, width), (rows, columns) = cameras.size, matches.grid
+        cell, weight = matches.cells.flatten(0, 1), matches.confidence.flatten(0, 1)
         size = depth.new_tensor([width / columns, height / rows])
         cells = pixels(depth.new_empty(rows, columns)).flatten(1).mT  # P 2
         source_ray, source = _unproject(
@@ -130,27 +183,6 @@ class Aligner(nn.Module):
         pose = torch.eye(4, dtype=depth.dtype, device=depth.device).expand(batch, views, 4, 4).clone()
         pose[:, 1:, :3, :3], pose[:, 1:, :3, 3] = (part.unflatten(0, (batch, views - 1)) for part in motion)
         return pose
-
-
-def _matches(correlation: Float[Tensor, "M r c r c"]) -> tuple[Float[Tensor, "M P 2"], Float[Tensor, "M P"]]:
-    """Column and row of each point in the first view, averaged around the likeliest cell, and mutual confidence."""
-    rows, columns = correlation.shape[-2:]
-    logits = correlation.flatten(3).flatten(1, 2)
-    probability = logits.softmax(-1)
-    mutual = probability * logits.softmax(-2)
-    best = mutual.argmax(-1)
-    row, column = best // columns, best % columns
-    total, weight = torch.zeros_like(mutual[..., 0]), torch.zeros_like(mutual[..., 0])
-    cell = torch.zeros(*best.shape, 2, device=best.device)
-    for dy, dx in product(range(-RADIUS, RADIUS + 1), repeat=2):
-        y, x = row + dy, column + dx
-        inside = (y >= 0) & (y < rows) & (x >= 0) & (x < columns)
-        index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1))[..., None]
-        mass = probability.gather(-1, index)[..., 0] * inside
-        total = total + mass
-        cell = cell + mass[..., None] * torch.stack([x, y], dim=-1)
-        weight = weight + mutual.gather(-1, index)[..., 0] * inside
-    return cell / total.clamp_min(1e-12)[..., None], weight
 
 
 def _unproject(

@@ -81,3 +81,16 @@ def test_an_image_is_most_like_itself():
         alike = Aligner().correlation(image.expand(1, 2, -1, -1, -1))[0, 0].flatten(2).flatten(0, 1)
     assert torch.equal(alike.argmax(-1), torch.arange(CELLS**2))
     torch.testing.assert_close(alike.diagonal(), torch.full((CELLS**2,), 10.0), atol=1e-3, rtol=0)
+
+
+def test_views_that_are_matched_one_at_a_time_have_the_poses_of_all_at_once():
+    images = torch.rand(2, 4, 3, *SIZE, generator=torch.Generator().manual_seed(0))
+    torch.manual_seed(0)
+    aligner = Aligner()
+    depth = 2 + torch.rand(2, 4, *SIZE, generator=torch.Generator().manual_seed(1))
+    geometry, sizes = Geometry(lenses(4).expand(2), depth, depth), []
+    expected = aligner.train().aligned(geometry, images).cameras.world_from_camera
+    correlation = aligner.correlation
+    aligner.correlation = lambda given: sizes.append(given.shape[1]) or correlation(given)
+    torch.testing.assert_close(aligner.eval().aligned(geometry, images).cameras.world_from_camera, expected)
+    assert sizes == [2, 2, 2]  # memory is that of a pair
