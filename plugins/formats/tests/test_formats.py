@@ -82,6 +82,7 @@ def test_a_file_of_others_stands_upright_once_its_axes_are_said(up, tmp_path, ca
     read = from_axes("y", READERS["glb"](tmp_path / "ours.glb"))
     assert psnr(picture(read), picture(scene(4))) > 80
     assert psnr(picture(Gaussians.load(tmp_path / "theirs.ply")), picture(scene(4))) < 30
+    (tmp_path / "report.json").write_text("{}")
     with pytest.raises(UserError, match="a folder of results is in OpenCV's axes"):
         command.export(command.parser().parse_args([str(tmp_path), *words[1:]]))
 

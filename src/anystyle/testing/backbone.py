@@ -19,10 +19,7 @@ PARTS = ("embedder", "aggregator", "geometry_head", "gaussian_head", "adapter")
 
 
 def test_encodes_views(plugin: Subject[Backbone]) -> None:
-    """It has five parts, ``patch_size`` and ``resolution``, and encodes any number of views, square or not.
-
-    What it says of checkpoints that others published is found.
-    """
+    """It has five parts and the reader of checkpoints that it names, and encodes any number of views, square or not."""
     for name in PARTS:
         base = getattr(contracts, name.title().replace("_", ""))
         part = getattr(plugin.instance, name, None)
