@@ -1,5 +1,6 @@
 """A film of a scene as MP4: frames along a path, in a projection, one at a time."""
 
+import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -23,6 +24,8 @@ from anystyle.types import Cameras, StyledScene
 from anystyle_film.metadata import mark_video, save_still
 from anystyle_film.paths import CameraPath, FilmedScene, orbit, smooth, spiral
 from anystyle_film.projection import Projection
+
+log = logging.getLogger(__name__)
 
 FRAMES, MAX_FRAMES = 72, 100_000
 PATHS = ("smooth", "orbit", "spiral")
@@ -112,17 +115,27 @@ class Mp4(Format):
         confidence = ViewConfidence.of(scene.gaussians, scene.cameras) if self.fade and scene.photographed else None
         transparent = replace(scene.gaussians, opacities=torch.zeros_like(scene.gaussians.opacities))
         background = renderer(transparent, path.select([0]).resized((1, 1))).color[0, 0]
+        shares = list[float]()
 
         def image(view: Cameras) -> Float[Tensor, "3 H W"]:
             shown = renderer(scene.gaussians, view).color[0, 0]
             if confidence is not None:
-                shown = torch.lerp(background, shown, confidence(view))
+                known = confidence(view)
+                shares.append(float(known.mean()))
+                shown = torch.lerp(background, shown, known)
             return shown.cpu()
 
         for index in range(path.intrinsics.shape[1]):
             views = self.projection.views(scene, path.select([index]), size)
             each = (views.select([view]) for view in range(views.intrinsics.shape[1]))
             yield self.projection.frame(torch.stack([image(view) for view in each]), size)
+        if faded := sum(share < 0.5 for share in shares):
+            log.warning(
+                "%d of %d views of the film are mostly faded: no photograph was taken from about there; "
+                "video.path=smooth stays among the photographs, video.fade=false fades nothing",
+                faded,
+                len(shares),
+            )
 
 
 def _path(path: str, turns: float | None) -> tuple[CameraPath, float | None]:

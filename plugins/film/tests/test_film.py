@@ -15,6 +15,7 @@ from PIL import Image
 from anystyle.contracts import Format, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
+from anystyle.geometry.confidence import ViewConfidence
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.video import opened, write_video
 from anystyle.registry.build import build
@@ -287,7 +288,7 @@ def test_frames_have_even_sides_and_are_made_of_views_without_seams(projection):
     asserts.close(frame, torch.full((3, *size), 0.5), "a frame of grey images")
 
 
-def test_beyond_what_was_photographed_a_film_fades_to_the_background_unless_told_not_to(tmp_path):
+def test_beyond_what_was_photographed_a_film_fades_to_the_background_unless_told_not_to(tmp_path, caplog):
     """A ball that was photographed from one side within 20 degrees, from keyframes around it."""
     ball = sphere(3000, lambda direction: 0.2 + 0 * direction)
     ball = replace(ball, means=0.4 * ball.means, scales=0.4 * ball.scales)
@@ -311,5 +312,9 @@ def test_beyond_what_was_photographed_a_film_fades_to_the_background_unless_told
     ink = (1 - faded).mean((1, 2, 3))
     assert (ink[known - 1 : -3].diff() < 0).all() and (ink[-3:] == 0).all()
     assert (pictures[True, 0.0][-3:] == 0).all()
+    confidence = ViewConfidence.of(ball, scene.cameras)
+    shares = [float(confidence(cameras(pose[None])).mean()) for pose in seen_from(*turns)]
+    assert (line := caplog.messages[0]).startswith(f"{sum(share < 0.5 for share in shares)} of 10 views of the film")
+    assert line == caplog.messages[1] and len(caplog.messages) == 2  # not by the film that fades nothing
     chosen = replace(scene, photographed=False)
     assert (torch.stack(list(film._frames(chosen, chosen.cameras.size)))[-1] > 0.1).any()
