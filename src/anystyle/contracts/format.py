@@ -36,7 +36,10 @@ class Format(Pluggable, ABC):
     Without any, a style may move Gaussians or add some.
     """
     index: ClassVar[str] = ""
-    """The file by which a folder is known as a scene of the format; empty where a scene is one file."""
+    """The file by which a folder is known as a scene of the format; empty where a scene is one file.
+
+    A literal in the class's own body: formats are not imported to look for it.
+    """
 
     @abstractmethod
     def write(self, scene: StyledScene, path: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from anystyle.io import video
 from anystyle.registry.catalog import catalog
+from anystyle.registry.packages import stated
 
 
 def scene_format(path: Path) -> str | None:
@@ -11,5 +12,5 @@ def scene_format(path: Path) -> str | None:
     names, suffix = catalog().names("format"), path.suffix.lower()
     if not path.is_dir():
         return suffix[1:] if suffix[1:] in names and suffix not in video.SUFFIXES else None
-    kinds = {name: catalog().find("format", name).load() for name in names}
-    return next((name for name, kind in kinds.items() if kind.index and (path / kind.index).is_file()), None)
+    indices = {name: stated(catalog().find("format", name), "index", "") for name in names}
+    return next((name for name, index in indices.items() if index and (path / index).is_file()), None)

@@ -23,13 +23,17 @@ def source_file(module: str, root: Path | None) -> Path | None:
     return Path(origin) if origin.endswith(".py") else None
 
 
-def stated(plugin: Plugin, name: str) -> Any:
-    """A class attribute; the class is imported for one that its own body does not state as a literal."""
+def stated(plugin: Plugin, name: str, default: Any = None) -> Any:
+    """A class attribute, read from the class's own body if that states it as a literal.
+
+    Otherwise it is the default; without one, the class is imported for it.
+    """
     module, _, cls = plugin.target.partition(":")
     with suppress(OSError, SyntaxError, ValueError, ImportError):
         file = source_file(module, plugin.root) if plugin.defined is None else None
-        if file is not None and name in (found := literals(file, cls)):
-            return found[name]
+        found = {} if file is None else literals(file, cls)
+        if name in found or (file is not None and default is not None):
+            return found.get(name, default)
     return getattr(plugin.load(), name)
 
 

@@ -21,6 +21,7 @@ from anystyle.types import Gaussians, StyledScene
 def test_writes_one_file(plugin: Subject[Format]) -> None:
     """It writes the file or folder that is named, the same bytes twice, and leaves nothing else, not after an error."""
     assert plugin.cls.up in AXES, f"up={plugin.cls.up!r} is not one of {', '.join(AXES)}"
+    assert plugin.cls.index == vars(plugin.cls).get("index", ""), "state `index` in the class itself"
     with tempfile.TemporaryDirectory() as folder:
         first, second, taken = (Path(folder, f"{name}.scene") for name in ("first", "second", "taken"))
         plugin.instance.write(_scene(), first)
