@@ -1,6 +1,7 @@
 """Figures of rows, scenes and all: each image is seen once, and nothing bad passes in silence."""
 
 import warnings
+from collections import Counter
 
 import pytest
 import torch
@@ -56,12 +57,26 @@ def test_warnings_of_metrics_are_kept_once_and_not_those_of_rows():
     assert found.provenance["warnings"] == ["a row's own warning", "2 values are few"]
 
 
-@pytest.mark.parametrize("at", [1, 2])
-def test_a_metric_that_raises_takes_no_figures_of_the_others(at):
+@pytest.mark.parametrize("call", [("update", 1), ("update", 2), ("compute", 1), ("compute", 2), ("compute", 3)])
+def test_a_metric_that_raises_takes_no_figures_of_the_others(call):
+    """The third time, figures are computed for the scene."""
+
     class Fragile(Mean):
+        def __init__(self):
+            super().__init__()
+            self.calls = Counter()
+
         def update(self, given):
+            self.fail("update")
             super().update(given)
-            if len(self.seen) == at:
+
+        def compute(self):
+            self.fail("compute")
+            return super().compute()
+
+        def fail(self, step):
+            self.calls[step] += 1
+            if (step, self.calls[step]) == call:
                 raise ValueError("too small")
 
     rows = [row_of(comparison(1, 2), 0, style=style) for style in ("one", "other")]

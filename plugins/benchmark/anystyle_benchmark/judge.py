@@ -220,7 +220,7 @@ class Judge:
         try:
             metrics = {name: self.metrics[name] for name in names}
             return loop.judge_scene(metrics, self._comparisons(unit, styles), on_error) if metrics else {}
-        except UserError as error:  # of files that cannot be compared
+        except ValueError as error:  # of files that cannot be compared
             lines.append(f"{unit.method} has no figures in {scene.name}: {one_line(error)}")
             return {}
 

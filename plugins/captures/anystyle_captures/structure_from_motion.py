@@ -210,7 +210,7 @@ def best_search(
     """Search until all photographs have a confirmed camera, and choose what counts; ``judged`` does one search."""
     longer, count, by = max(max(photograph.size) for photograph in photographs), len(photographs), ""
     found: list[Searched] = []
-    for previous, options in zip([None, *searches], searches, strict=False):
+    for previous, options in zip([None, *searches[:-1]], searches, strict=True):
         same = previous is not None and previous.features == options.features and longer <= previous.max_side
         if same or (found and longer < options.min_side):
             continue  # more features of the same pixels, or of enlarged ones, find wrong places

@@ -20,7 +20,7 @@ from anystyle.io.video import write_video
 from anystyle.pipeline.load import default_device
 from anystyle.ranges import Positive, Range
 from anystyle.registry.build import build
-from anystyle.types import Cameras, StyledScene
+from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_film.metadata import mark_video, save_still
 from anystyle_film.paths import CameraPath, FilmedScene, orbit, smooth, spiral
 from anystyle_film.projection import Projection
@@ -113,8 +113,9 @@ class Mp4(Format):
     def _frames(self, scene: FilmedScene, size: tuple[int, int]) -> Iterator[Float[Tensor, "3 H W"]]:
         renderer, path = self.renderer or build(Renderer, "auto"), self.path(scene, self.frames)
         confidence = ViewConfidence.of(scene.gaussians, scene.cameras) if self.fade and scene.photographed else None
-        transparent = replace(scene.gaussians, opacities=torch.zeros_like(scene.gaussians.opacities))
-        background = renderer(transparent, path.select([0]).resized((1, 1))).color[0, 0]
+        one: Gaussians = scene.gaussians.map(lambda tensor: tensor[:, :1])
+        nothing = replace(one, opacities=torch.zeros_like(one.opacities))
+        background = renderer(nothing, path.select([0]).resized((1, 1))).color[0, 0]
         shares = list[float]()
 
         def image(view: Cameras) -> Float[Tensor, "3 H W"]:

@@ -88,11 +88,16 @@ def judge_pairing(
     )
 
 
+def raised(_name: str, error: Exception) -> None:
+    """Raise the error of a metric."""
+    raise error
+
+
 @torch.no_grad()
 def judge_scene(
     metrics: Mapping[str, Metric],
     comparisons: Iterable[Comparison],
-    on_error: Callable[[str, Exception], None] | None = None,
+    on_error: Callable[[str, Exception], None] = raised,
 ) -> dict[str, SceneFigures]:
     """The figures of each metric for a scene, given in one style each.
 
@@ -101,8 +106,8 @@ def judge_scene(
     Args:
         metrics: By name; they are reset.
         comparisons: Each of this scene in one style, with the style's name.
-        on_error: Called with the name of a metric whose update raises, and the error; the metric has no figures then,
-            and the others have theirs. If not given, the error is raised.
+        on_error: Called with the name of a metric that raises a ValueError, and the error; the metric has no figures
+            then, and the others have theirs. By default the error is raised.
     """
     metrics = dict(metrics)
     # `Metric.forward` mixes the warnings of `update` with those of a style's figures, copies all states each time and
@@ -118,15 +123,13 @@ def judge_scene(
             try:
                 with _recorded_warnings(warned[name], name):
                     metric.update(comparison.to(metric.device))
-            except (UserError, ValueError) as error:
-                if on_error is None:
-                    raise
+                with warnings.catch_warnings(action="ignore"):
+                    # Too few images matter for the scene alone, which warns below.
+                    styles[name][style] = _compute(metric)
+            except ValueError as error:
                 on_error(name, error)
                 del metrics[name]
                 continue
-            with warnings.catch_warnings(action="ignore"):
-                # Too few images matter for the scene alone, which warns below.
-                styles[name][style] = _compute(metric)
             if name in states:
                 metric._update_count = index + 1  # the weight of states that are means
                 metric.merge_state(states[name])
@@ -136,8 +139,12 @@ def judge_scene(
             }
     scene: dict[str, SceneFigures] = {}
     for name, metric in metrics.items():
-        with _recorded_warnings(warned[name], name):
-            figures = _compute(metric)
+        try:
+            with _recorded_warnings(warned[name], name):
+                figures = _compute(metric)
+        except ValueError as error:
+            on_error(name, error)
+            continue
         for figure, values in metric.of_each_row().items():
             for row, value in zip(styles[name].values(), values.tolist(), strict=True):
                 row[figure] = value

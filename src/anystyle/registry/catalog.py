@@ -72,7 +72,12 @@ def _declared(target: str) -> KindInfo:
 
 
 def literals(file: Path, name: str) -> dict[str, Any]:
-    """The attributes that the body of a class states as literals, read from its file."""
+    """The attributes that the body of a class states as literals, read from its file; not to be written to."""
+    return _literals(file, file.stat().st_mtime_ns, name)
+
+
+@cache
+def _literals(file: Path, _changed: int, name: str) -> dict[str, Any]:
     classes = (node for node in ast.parse(file.read_bytes()).body if isinstance(node, ast.ClassDef))
     body = next((node.body for node in classes if node.name == name), [])
     found: dict[str, Any] = {}
