@@ -119,7 +119,6 @@ X, Y, XX, XY, YY, OPACITY, RED, GREEN, BLUE, DEPTH, WIDE, TALL, PEAK, LEAN, BEND
 extents, the column of its highest point, and its rows at a distance ``dx`` from the centre, ``LEAN dx ± BEND sqrt(WIDE²
 - dx²)``."""
 
-SPLAT = 16
 CAMERA = 19
 """A camera: the rows of the rotation (9) and the translation (3) from world, its origin (3), fx, fy, cx, cy."""
 

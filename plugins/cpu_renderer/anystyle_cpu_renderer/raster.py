@@ -73,6 +73,9 @@ class SortedSplats(NamedTuple):
         return Tiles(tiles_of(splats, top, bottom, size[1], offsets), offsets)
 
 
+SPLAT = 16
+"""Numbers of a splat, of which :mod:`anystyle_cpu_renderer.projection` names the columns: one cache line."""
+
 HEIGHT, WIDTH = 32, 16
 """Of a tile in pixels: its planes fit into the L1 cache. A job is one row of tiles."""
 
@@ -129,14 +132,15 @@ def by_row(data: Array, rows: Array, offsets: Array) -> tuple[Array, Array]:
     for row in range(last_row):
         offsets[row + 1] += offsets[row]
     cursor = offsets[:-1].copy()
-    copies, places = np.empty((offsets[last_row], data.shape[1]), np.float32), np.empty(offsets[last_row], np.int32)
+    copies, places = np.empty((offsets[last_row], SPLAT), np.float32), np.empty(offsets[last_row], np.int32)
     for i in range(rows.shape[0]):
-        at = rows[i]
+        at = np.uint64(rows[i])
         first, last = span(float(data[at, 1]), float(data[at, 11]), HEIGHT, last_row)
         for row in range(first, last + 1):
-            places[cursor[row]] = at
-            for k in range(data.shape[1]):
-                copies[cursor[row], k] = data[at, k]
+            copy = np.uint64(cursor[row])
+            places[copy] = at
+            for k in range(SPLAT):
+                copies[copy, k] = data[at, k]
             cursor[row] += 1
     return copies, places
 
@@ -301,15 +305,13 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
 
 
 @compiled
-def shares(splats: Array, owners: Array, tiles: Tiles, top: int, cap: float, transmittance: Array) -> tuple:
-    """The share of each Gaussian in each pixel of one row of tiles, as rows of a sparse matrix.
+def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, top: int, cap: float) -> tuple:
+    """The share of each Gaussian in each pixel of a row of tiles, ``tall`` pixels high, as rows of a sparse matrix.
 
-    Writes ``transmittance [H, W]``; ``owners`` are the Gaussians of ``splats``. Returns where the row of each pixel
-    ends, and the columns and values of its entries.
+    ``owners`` are the Gaussians of ``splats``. Returns where the row of each pixel ends, and the columns and values of
+    its entries.
     """
     lists, offsets = tiles
-    width = transmittance.shape[1]
-    tall = min(HEIGHT, transmittance.shape[0] - top)
     places, columns, values = np.empty(1 << 16, np.int32), np.empty(1 << 16, np.int32), np.empty(1 << 16, np.float32)
     number = 0
     # Planes: transmittance (negative once the pixel is full), the share of the current splat, column, row.
@@ -344,15 +346,14 @@ def shares(splats: Array, owners: Array, tiles: Tiles, top: int, cap: float, tra
                 tile[0, i] = -abs(before) if full else after
             if number + HEIGHT * WIDTH > values.shape[0]:
                 places, columns, values = longer(places), longer(columns), longer(values)
-            owner = owners[entries[entry, 0]]
-            for i in range(first, last):
-                if tile[1, i] > ZERO:
-                    places[number], columns[number] = np.int32(i) // WIDTH * width + left + np.int32(i) % WIDTH, owner
-                    values[number] = tile[1, i]
-                    number += 1
-        for j in range(tall):
-            for i in range(wide):
-                transmittance[top + j, left + i] = abs(tile[0, j * WIDTH + i])
+            owner, half = owners[entries[entry, 0]], splats[entries[entry, 0], 10] + ONE
+            begin, end = np.uint64(max(x - half, ZERO)), np.uint64(max(min(x + half + ONE, np.float32(wide)), ZERO))
+            for row in range(entries[entry, 1], entries[entry, 2]):
+                for i in range(begin, end):
+                    share = tile[1, np.uint64(row) * WIDE + i]
+                    if share > ZERO:
+                        places[number], columns[number], values[number] = row * width + left + i, owner, share
+                        number += 1
     ends = np.zeros(tall * width + 1, np.int64)
     for k in range(number):
         ends[places[k] + 1] += 1

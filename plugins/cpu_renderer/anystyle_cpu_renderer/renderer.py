@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from anystyle.contracts import LinearView
 from anystyle.geometry.harmonics import degree_of, normalisation
-from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
+from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single, composite
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer import stages
 from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
@@ -46,20 +46,22 @@ class CpuRenderer(CappedRasterizer):
         with torch.autocast("cpu", enabled=False):
             gaussians, camera = at_least_single(gaussians, camera)
             (scene,), ((view,),) = _read(*self._inputs(gaussians, camera))
+        image = torch.empty(1, 1, 5, *camera.size)
         with stages.workers() as run:
             stages.shape(scene, run)
             splats = stages.project(scene, view, camera.size[0], run)
-            return _Shares(
-                *stages.shares(splats, np.float32(self.alpha_cap), camera.size, len(scene.means), run), self.background
-            )
+            matrix = stages.shares(splats, np.float32(self.alpha_cap), len(scene.means), image[0, 0].numpy(), run)
+        return _Shares(matrix, image, self.background)
 
 
 class _Shares(LinearView):
     """A sparse matrix: the share of each Gaussian in each pixel."""
 
-    def __init__(self, matrix: csr_array, transmittance: np.ndarray, background: tuple[float, float, float]) -> None:
-        self.matrix = matrix
-        self.background = torch.from_numpy(transmittance) * torch.tensor(background)[:, None, None]
+    def __init__(
+        self, matrix: csr_array, image: Float[Tensor, "1 1 5 H W"], background: tuple[float, float, float]
+    ) -> None:
+        self.matrix, self.render = matrix, composite(image, background)
+        self.background = image[0, 0, 4] * torch.tensor(background)[:, None, None]
         self.nbytes = sum(part.nbytes for part in (matrix.data, matrix.indices, matrix.indptr))
 
     def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:

@@ -57,7 +57,7 @@ def shape_backward(scene: SceneArrays, into: SceneArrays, run: Mapper) -> None:
 def project(scene: SceneArrays, view: CameraArrays, height: int, run: Mapper) -> SortedSplats:
     """Project the visible Gaussians of a scene into a view."""
     number = len(scene.means)
-    data, owners = np.empty((number, projection.SPLAT), np.float32), np.empty(number, np.int32)
+    data, owners = np.empty((number, raster.SPLAT), np.float32), np.empty(number, np.int32)
 
     def job(start: int, stop: int) -> np.ndarray:
         return np.arange(start, start + projection.project(scene, view, start, stop, data, owners))
@@ -101,23 +101,22 @@ def blend(
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
 
 
-def shares(
-    splats: SortedSplats, cap: np.float32, size: tuple[int, int], number: int, run: Mapper
-) -> tuple[csr_array, np.ndarray]:
-    """The share of each of ``number`` Gaussians in each pixel, ``[H W, number]``, and the transmittance ``[H, W]``."""
-    transmittance = np.empty(size, np.float32)
+def shares(splats: SortedSplats, cap: np.float32, number: int, image: np.ndarray, run: Mapper) -> csr_array:
+    """The share of each of ``number`` Gaussians in each pixel, ``[H W, number]``; writes the image, too."""
+    size = image.shape[1:]
+    last = np.empty(size, np.int32)
 
     def job(row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        part, top = splats.of(row), row * raster.HEIGHT
-        owners = splats.owners[splats.places[part]]
-        return raster.shares(splats.copies[part], owners, splats.tiles(row, size), top, cap, transmittance)
+        tiles, top = splats.tiles(row, size), row * raster.HEIGHT
+        part, owners = splats.copies[splats.of(row)], splats.owners[splats.places[splats.of(row)]]
+        raster.blend(part, tiles, top, cap, image, last)
+        return raster.shares(part, owners, tiles, min(raster.HEIGHT, size[0] - top), size[1], top, cap)
 
     ends, columns, values = zip(*run(job, range(len(splats.offsets) - 1)), strict=True)
     starts = np.cumsum([0, *map(len, values)])
     kind = np.int32 if starts[-1] <= np.iinfo(np.int32).max else np.int64  # half the memory where it does
     rows = np.concatenate([[0], *map(np.add, ends, starts[:-1])]).astype(kind)
-    matrix = csr_array((np.concatenate(values), np.concatenate(columns), rows), (transmittance.size, number))
-    return matrix, transmittance
+    return csr_array((np.concatenate(values), np.concatenate(columns), rows), (last.size, number))
 
 
 def blend_backward(

@@ -88,7 +88,7 @@ class SceneLoop:
         # Where nothing but constant colours changes, a view stays the same linear map of them.
         constant = self.before.harmonics.shape[2] == 1 and self.before.means.dtype == torch.float32
         self.only_colors = constant and [*rates] == ["colors"]
-        self.linear_views: dict[int, tuple[LinearView, Renders]] = {}
+        self.linear_views: dict[int, LinearView] = {}
 
     def _begin(self, gaussians: Gaussians) -> None:
         self.before = gaussians.detach()
@@ -147,21 +147,21 @@ class SceneLoop:
             self._keep_linear_view(view)
         if view not in self.linear_views:
             return self.stylizer.render(gaussians, self.scene.cameras.select([view]))
-        linear, before = self.linear_views[view]
+        linear = self.linear_views[view]
         colors = rgb_from_constant(gaussians.harmonics[0, :, 0]).clamp_min(0)
         color = _LinearRender.apply(colors, linear) + linear.background
-        return replace(before, color=color.clamp(0, 1)[None, None])
+        return replace(linear.render, color=color.clamp(0, 1)[None, None])
 
     @torch.no_grad()
     def _keep_linear_view(self, view: int) -> None:
-        """Keep a view's map of colours, as far as memory goes, with the depth and alpha that stay the same."""
+        """Keep a view's map of colours, as far as memory goes."""
         camera = self.scene.cameras.select([view])
         linear = self.stylizer.renderer.linear_view(self.before, camera)
-        kept = sum(one.nbytes for one, _ in self.linear_views.values())
+        kept = sum(one.nbytes for one in self.linear_views.values())
         if linear is None or kept + linear.nbytes > KEPT:
             self.only_colors = False
         else:
-            self.linear_views[view] = linear, self.stylizer.render(self.before, camera)
+            self.linear_views[view] = linear
 
     @torch.no_grad()
     def _unstyled(self, view: int) -> Renders:

@@ -65,6 +65,8 @@ class LinearView(ABC):
 
     background: Float[Tensor, "3 H W"]
     """What is seen of the background."""
+    render: Renders
+    """The view of the scene with the colours that it was given."""
     nbytes: int
     """Memory that it takes."""
 

@@ -14,7 +14,7 @@ from anystyle.contracts import LinearView, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.io.cache import LRUCache
-from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Tokens, Views
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Renders, Scene, Tokens, Views
 
 MIN_WEIGHT = 1e-3
 """A Gaussian that covers fewer pixels of all views together keeps its colour."""
@@ -139,6 +139,11 @@ def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) ->
     return torch.stack(confidence)
 
 
+def first_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Renders:
+    """The render of a view whose colours will be solved for: the linear view is made at once, and kept if it fits."""
+    return _System(gaussians.detach(), camera.detach(), renderer).linear(0).render
+
+
 def kept_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Float[Tensor, "3 H W"] | None:
     """The render of a view by its linear view, if that is kept, as those are that colours were solved for with.
 
@@ -193,6 +198,7 @@ class _Differentiated(LinearView):
         self._render, self._gray = render, gaussians.means.new_full(gaussians.means.shape[1:], 0.5).requires_grad_()
         with torch.enable_grad():
             self._image = render(self._gray)
+        self._given = gaussians, camera, renderer
         with torch.no_grad():
             self.background = render(torch.zeros_like(self._gray))
         self.nbytes = 100 * len(self._gray)  # measured
@@ -201,6 +207,12 @@ class _Differentiated(LinearView):
         scale = colors.abs().amax(0).clamp_min(1e-20) / 0.45  # 3
         with torch.no_grad():
             return (self._render(0.5 + colors / scale) - self._image) * scale[:, None, None]
+
+    @cached_property
+    def render(self) -> Renders:  # pyright: ignore[reportIncompatibleVariableOverride]
+        gaussians, camera, renderer = self._given
+        with torch.no_grad():
+            return renderer(gaussians, camera)
 
     def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
         return torch.autograd.grad(self._image, self._gray, pixels, retain_graph=True)[0]

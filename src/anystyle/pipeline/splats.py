@@ -9,20 +9,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from anystyle.contracts import Renderer
 from anystyle.data.folder import covering
 from anystyle.data.names import short_names
 from anystyle.data.poses import view_camera
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.limits import require
-from anystyle.methods.colors import KEPT
+from anystyle.methods.colors import KEPT, first_render
 from anystyle.pipeline.encode import EncodedCapture, Group, available, encoder, scene_report
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.saved import CHOSEN, cameras_beside, made_at, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
-from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, SourceImage, StyledScene, Views
+from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
 
 ELEVATIONS = (10.0, 35.0)
 """Degrees above the scene's middle, of two rings of chosen cameras."""
@@ -54,7 +55,7 @@ def encode_saved(
         cameras, sources, origin = cameras_of(path, saved, views, options, patch, side)
         line = require_splat(gaussians.means.shape[1], cameras, stylizer.device)
     with stages("encode", f"{line}; cameras {origin}"):
-        scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.render, encoder(stylizer))
+        scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.renderer, encoder(stylizer))
     report = scene_report("given", len(sources), start, {}) | {"cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
     original = path if path.is_file() and given.up == "opencv" and not options.activated else None
@@ -128,11 +129,11 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
 def scene_of_splat(
     gaussians: Gaussians,
     cameras: Cameras,
-    render: Callable[[Gaussians, Cameras], Renders],
+    renderer: Renderer,
     encode: Callable[[Views], Scene],
 ) -> Scene:
     """The renders of given Gaussians, a batch of one, encoded with known cameras, as a scene that has these."""
-    renders = [render(gaussians, cameras.select([view])) for view in range(cameras.intrinsics.shape[1])]
+    renders = [first_render(gaussians, cameras.select([view]), renderer) for view in range(cameras.intrinsics.shape[1])]
     images, alpha = (torch.cat([getattr(render, name) for render in renders], dim=1) for name in ("color", "alpha"))
     depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
     views = Views(images.clamp(0, 1), cameras)
