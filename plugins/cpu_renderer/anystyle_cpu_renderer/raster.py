@@ -43,6 +43,18 @@ class BlendedView(NamedTuple):
     d_image: Array
 
 
+class Shares(NamedTuple):
+    """The shares of Gaussians in the pixels of a row of tiles, by runs of pixels that one splat covers in one line.
+
+    Args:
+        runs: ``[n, 3]``: the Gaussian, the first pixel, row by row through the image, and the number of pixels.
+        values: The shares of each run's pixels, one run after another.
+    """
+
+    runs: Array
+    values: Array
+
+
 class SortedSplats(NamedTuple):
     """The splats of one view.
 
@@ -121,8 +133,8 @@ def span(center: float, half: float, side: int, count: int) -> tuple[int, int]:
 
 
 @compiled
-def by_row(data: Array, rows: Array, offsets: Array) -> tuple[Array, Array]:
-    """Copy the splats of each row of tiles next to each other: sorting and blending a row stays in the cache."""
+def count_by_row(data: Array, rows: Array, offsets: Array) -> None:
+    """Write where the copies for each row of tiles begin and end, see :func:`copy_by_row`."""
     last_row = offsets.shape[0] - 1
     offsets[:] = 0
     for i in range(rows.shape[0]):
@@ -131,8 +143,12 @@ def by_row(data: Array, rows: Array, offsets: Array) -> tuple[Array, Array]:
             offsets[row + 1] += 1
     for row in range(last_row):
         offsets[row + 1] += offsets[row]
-    cursor = offsets[:-1].copy()
-    copies, places = np.empty((offsets[last_row], SPLAT), np.float32), np.empty(offsets[last_row], np.int32)
+
+
+@compiled
+def copy_by_row(data: Array, rows: Array, offsets: Array, copies: Array, places: Array) -> None:
+    """Copy the splats of each row of tiles next to each other: sorting and blending a row stays in the cache."""
+    last_row, cursor = offsets.shape[0] - 1, offsets[:-1].copy()
     for i in range(rows.shape[0]):
         at = np.uint64(rows[i])
         first, last = span(float(data[at, 1]), float(data[at, 11]), HEIGHT, last_row)
@@ -142,7 +158,6 @@ def by_row(data: Array, rows: Array, offsets: Array) -> tuple[Array, Array]:
             for k in range(SPLAT):
                 copies[copy, k] = data[at, k]
             cursor[row] += 1
-    return copies, places
 
 
 @compiled
@@ -305,15 +320,11 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
 
 
 @compiled
-def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, top: int, cap: float) -> tuple:
-    """The share of each Gaussian in each pixel of a row of tiles, ``tall`` pixels high, as rows of a sparse matrix.
-
-    ``owners`` are the Gaussians of ``splats``. Returns where the row of each pixel ends, and the columns and values of
-    its entries.
-    """
+def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, top: int, cap: float) -> Shares:
+    """The shares of Gaussians in the pixels of a row of tiles, ``tall`` pixels high; ``owners`` are those of splats."""
     lists, offsets = tiles
-    places, columns, values = np.empty(1 << 16, np.int32), np.empty(1 << 16, np.int32), np.empty(1 << 16, np.float32)
-    number = 0
+    runs, values = np.empty((1 << 14, 3), np.int32), np.empty(max(8 * lists.shape[0], 1 << 14), np.float32)
+    number = length = 0
     # Planes: transmittance (negative once the pixel is full), the share of the current splat, column, row.
     tile = np.empty((4, HEIGHT * WIDTH), np.float32)
     for column in range(offsets.shape[0] - 1):
@@ -328,13 +339,9 @@ def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, to
                 if passing(tile[0]) == ZERO:
                     break
                 near = gather(splats, entries, entry, min(entry + BLOCK, entries.shape[0]), top, left)
-            e, first, last = (
-                np.uint64(entry % BLOCK),
-                np.uint64(entries[entry, 1]) * WIDE,
-                np.uint64(entries[entry, 2]) * WIDE,
-            )
+            e = np.uint64(entry % BLOCK)
             x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
-            for i in range(first, last):
+            for i in range(np.uint64(entries[entry, 1]) * WIDE, np.uint64(entries[entry, 2]) * WIDE):
                 dx, dy = tile[2, i] - x, tile[3, i] - y
                 sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
                 alpha = min(cap, opacity * falloff(sigma))
@@ -344,35 +351,65 @@ def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, to
                 full = after <= MIN_TRANSMITTANCE
                 tile[1, i] = ZERO if full else alpha * before
                 tile[0, i] = -abs(before) if full else after
-            if number + HEIGHT * WIDTH > values.shape[0]:
-                places, columns, values = longer(places), longer(columns), longer(values)
+            runs = runs if number + HEIGHT <= runs.shape[0] else longer(runs)
+            values = values if length + HEIGHT * WIDTH <= values.shape[0] else longer(values)
             owner, half = owners[entries[entry, 0]], splats[entries[entry, 0], 10] + ONE
-            begin, end = np.uint64(max(x - half, ZERO)), np.uint64(max(min(x + half + ONE, np.float32(wide)), ZERO))
+            begin, end = int(max(x - half, ZERO)), int(max(min(x + half + ONE, np.float32(wide)), ZERO))
             for row in range(entries[entry, 1], entries[entry, 2]):
-                for i in range(begin, end):
-                    share = tile[1, np.uint64(row) * WIDE + i]
-                    if share > ZERO:
-                        places[number], columns[number], values[number] = row * width + left + i, owner, share
-                        number += 1
-    ends = np.zeros(tall * width + 1, np.int64)
-    for k in range(number):
-        ends[places[k] + 1] += 1
-    for i in range(tall * width):
-        ends[i + 1] += ends[i]
-    cursor, sorted_columns, sorted_values = ends[:-1].copy(), np.empty(number, np.int32), np.empty(number, np.float32)
-    for k in range(number):
-        at = cursor[places[k]]
-        sorted_columns[at], sorted_values[at] = columns[k], values[k]
-        cursor[places[k]] += 1
-    return ends[1:], sorted_columns, sorted_values
+                first, stop = np.uint64(row * WIDTH + begin), np.uint64(row * WIDTH + end)
+                while first < stop and tile[1, first] == ZERO:
+                    first += np.uint64(1)
+                while first < stop and tile[1, stop - np.uint64(1)] == ZERO:
+                    stop -= np.uint64(1)
+                if first < stop:
+                    pixel = (top + row) * width + left + int(first) - row * WIDTH
+                    runs[number, 0], runs[number, 1], runs[number, 2] = owner, pixel, stop - first
+                    number += 1
+                    for i in range(first, stop):
+                        values[length] = tile[1, i]
+                        length += 1
+    return Shares(runs[:number].copy(), values[:length].copy())
+
+
+@compiled
+def mix(shares: Shares, colors: Array, image: Array) -> None:
+    """Add the colours ``[N, 3]`` of Gaussians, times their shares, to pixels ``[H W, 3]``."""
+    runs, values = shares
+    at = np.uint64(0)
+    for run in range(runs.shape[0]):
+        owner, pixel, count = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]), np.uint64(runs[run, 2])
+        red, green, blue = colors[owner, 0], colors[owner, 1], colors[owner, 2]
+        for i in range(count):
+            share = values[at + i]
+            image[pixel + i, 0] += share * red
+            image[pixel + i, 1] += share * green
+            image[pixel + i, 2] += share * blue
+        at += count
+
+
+@compiled
+def mix_transposed(shares: Shares, image: Array, colors: Array) -> None:
+    """Add pixels ``[H W, 3]``, times the shares of Gaussians in them, to ``[N, 3]``: the transpose of :func:`mix`."""
+    runs, values = shares
+    at = np.uint64(0)
+    for run in range(runs.shape[0]):
+        owner, pixel, count = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]), np.uint64(runs[run, 2])
+        red = green = blue = ZERO
+        for i in range(count):
+            share = values[at + i]
+            red += share * image[pixel + i, 0]
+            green += share * image[pixel + i, 1]
+            blue += share * image[pixel + i, 2]
+        colors[owner, 0] += red
+        colors[owner, 1] += green
+        colors[owner, 2] += blue
+        at += count
 
 
 @compiled
 def longer(values: Array) -> Array:
-    """The same values in an array of twice the length."""
-    result = np.empty(2 * values.shape[0], values.dtype)
-    result[: values.shape[0]] = values
-    return result
+    """The same values at the beginning of an array of twice the length."""
+    return np.concatenate((values, np.empty_like(values)))
 
 
 @summed

@@ -5,17 +5,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.sparse import csr_array
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from anystyle.contracts import LinearView
 from anystyle.geometry.harmonics import degree_of, normalisation
+from anystyle.io.cache import LRUCache
 from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single, composite
 from anystyle.types import Cameras, Gaussians
-from anystyle_cpu_renderer import stages
+from anystyle_cpu_renderer import raster, stages
 from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
-from anystyle_cpu_renderer.raster import BlendedView
+from anystyle_cpu_renderer.raster import BlendedView, Shares
 
 
 class CpuRenderer(CappedRasterizer):
@@ -45,30 +45,43 @@ class CpuRenderer(CappedRasterizer):
     def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView:
         with torch.autocast("cpu", enabled=False):
             gaussians, camera = at_least_single(gaussians, camera)
-            (scene,), ((view,),) = _read(*self._inputs(gaussians, camera))
+            tensors, settings = self._inputs(gaussians, camera)
+            (scene,), ((view,),) = _read(tensors, settings)
         image = torch.empty(1, 1, 5, *camera.size)
         with stages.workers() as run:
-            stages.shape(scene, run)
+            (scene,) = _shaped([scene], tensors, run)
             splats = stages.project(scene, view, camera.size[0], run)
-            matrix = stages.shares(splats, np.float32(self.alpha_cap), len(scene.means), image[0, 0].numpy(), run)
-        return _Shares(matrix, image, self.background)
+            shares = stages.shares(splats, np.float32(self.alpha_cap), image[0, 0].numpy(), run)
+        return _Shares(shares, len(scene.means), image, self.background)
 
 
 class _Shares(LinearView):
     """A sparse matrix: the share of each Gaussian in each pixel."""
 
     def __init__(
-        self, matrix: csr_array, image: Float[Tensor, "1 1 5 H W"], background: tuple[float, float, float]
+        self,
+        shares: list[Shares],
+        number: int,
+        image: Float[Tensor, "1 1 5 H W"],
+        background: tuple[float, float, float],
     ) -> None:
-        self.matrix, self.render = matrix, composite(image, background)
+        self._shares, self._number = shares, number
+        self.render = composite(image, background)
         self.background = image[0, 0, 4] * torch.tensor(background)[:, None, None]
-        self.nbytes = sum(part.nbytes for part in (matrix.data, matrix.indices, matrix.indptr))
+        self.nbytes = sum(array.nbytes for part in shares for array in part)
 
     def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
-        return torch.from_numpy((self.matrix @ colors.detach().float().numpy()).T.reshape(self.background.shape))
+        given, image = colors.detach().float().contiguous().numpy(), torch.zeros(self.background[0].numel(), 3)
+        for part in self._shares:
+            raster.mix(part, given, image.numpy())
+        return image.T.reshape(self.background.shape)
 
     def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
-        return torch.from_numpy(self.matrix.T @ pixels.detach().float().flatten(1).T.contiguous().numpy())
+        image = pixels.detach().float().flatten(1).T.contiguous().numpy()
+        colors = torch.zeros(self._number, 3)
+        for part in self._shares:
+            raster.mix_transposed(part, image, colors.numpy())
+        return colors
 
 
 class _Settings(NamedTuple):
@@ -92,14 +105,13 @@ class _Splatting(torch.autograd.Function):
         keep = size[0] * size[1] == 1 and any(ctx.needs_input_grad)
         ctx.kept = []
         with stages.workers() as run:
-            for b, scene in enumerate(scenes):
-                stages.shape(scene, run)
+            for b, scene in enumerate(_shaped(scenes, tensors, run)):
                 for v, view in enumerate(views[b]):
-                    splats = stages.project(scene, view, settings.height, run)
+                    splats = stages.project(scene, view, settings.height, run, keep=keep)
                     cap, image = np.float32(settings.alpha_cap), images[b, v].numpy()
                     tiles = stages.blend(splats, cap, image, last[b, v], run, keep=keep)
                     if keep:
-                        ctx.kept.append((splats, tiles, scene.shapes))
+                        ctx.kept.append((splats, tiles))
         ctx.save_for_backward(*tensors, images)
         ctx.last, ctx.settings = last, settings
         return images
@@ -116,15 +128,11 @@ class _Splatting(torch.autograd.Function):
         shaped = posed or any(ctx.needs_input_grad[:4])
         sums = [torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors]
         with stages.workers() as run:
-            for b, scene in enumerate(scenes):
-                if ctx.kept:
-                    scene = scene._replace(shapes=ctx.kept[0][2])
-                else:
-                    stages.shape(scene, run)
+            for b, scene in enumerate(_shaped(scenes, tensors, run)):
                 into = SceneArrays._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
                 for v, view in enumerate(views[b]):
                     if ctx.kept:
-                        splats, tiles, _ = ctx.kept[0]
+                        splats, tiles = ctx.kept[0]
                     else:
                         splats, tiles = stages.project(scene, view, ctx.settings.height, run), []
                     d_image = grad_outputs[0][b, v].contiguous().numpy()
@@ -149,6 +157,26 @@ def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[SceneArrays]
     limits = np.array([settings.width, settings.height, settings.near, settings.far, settings.eps2d])
     tables = _tables(degree_of(gaussians[-1].shape[2]))
     return scenes, [[CameraArrays(camera, limits, tables) for camera in row] for row in cameras]
+
+
+_SHAPES: LRUCache[tuple[object, ...], tuple[list[Tensor], list[np.ndarray]]] = LRUCache(1)
+"""The covariances of the last scenes, with their tensors, so that no others lie where these do."""
+
+
+def _shaped(scenes: list[SceneArrays], tensors: list[Tensor], run: stages.Mapper) -> list[SceneArrays]:
+    """The scenes with their covariances, which all views of the same Gaussians share, as do its two passes."""
+    rotations, scales = (tensor.detach() for tensor in tensors[1:3])
+
+    def compute() -> tuple[list[Tensor], list[np.ndarray]]:
+        for scene in scenes:
+            stages.shape(scene, run)
+        return [rotations, scales], [scene.shapes for scene in scenes]
+
+    if rotations.is_inference() or scales.is_inference():  # whether they have changed is not known
+        compute()
+        return scenes
+    key = tuple((tensor.data_ptr(), tensor.shape, tensor.stride(), tensor._version) for tensor in (rotations, scales))
+    return [scene._replace(shapes=kept) for scene, kept in zip(scenes, _SHAPES.get(key, compute)[1], strict=True)]
 
 
 def _tables(degree: int) -> np.ndarray:

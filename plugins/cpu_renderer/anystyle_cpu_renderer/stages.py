@@ -4,15 +4,15 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from threading import local
 from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse import csr_array
 
 from anystyle_cpu_renderer import projection, raster
 from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
-from anystyle_cpu_renderer.raster import BlendedView, SortedSplats, Tiles
+from anystyle_cpu_renderer.raster import BlendedView, Shares, SortedSplats, Tiles
 
 CHUNK = 8192
 """Gaussians per job; fixed, so that the order of summation does not depend on the number of threads."""
@@ -54,17 +54,35 @@ def shape_backward(scene: SceneArrays, into: SceneArrays, run: Mapper) -> None:
     list(run(job, *chunks(scene.means)))
 
 
-def project(scene: SceneArrays, view: CameraArrays, height: int, run: Mapper) -> SortedSplats:
-    """Project the visible Gaussians of a scene into a view."""
+class Buffers(local):
+    """Arrays of a thread that are overwritten by its next view: new memory costs as much as what is written to it."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def __call__(self, name: str, shape: tuple[int, ...], kind: type) -> np.ndarray:
+        if name not in self._arrays or len(self._arrays[name]) < shape[0]:
+            self._arrays[name] = np.empty(shape, kind)
+        return self._arrays[name][: shape[0]]
+
+
+BUFFERS = Buffers()
+
+
+def project(scene: SceneArrays, view: CameraArrays, height: int, run: Mapper, *, keep: bool = False) -> SortedSplats:
+    """Project the visible Gaussians of a scene into a view; unless kept, the result lasts until the thread's next."""
     number = len(scene.means)
-    data, owners = np.empty((number, raster.SPLAT), np.float32), np.empty(number, np.int32)
+    new = (lambda _, shape, kind: np.empty(shape, kind)) if keep else BUFFERS
+    data, owners = new("data", (number, raster.SPLAT), np.float32), new("owners", (number,), np.int32)
 
     def job(start: int, stop: int) -> np.ndarray:
         return np.arange(start, start + projection.project(scene, view, start, stop, data, owners))
 
     rows = np.concatenate([np.empty(0, np.int64), *run(job, *chunks(scene.means))])
     offsets = np.empty(-(-height // raster.HEIGHT) + 1, np.int64)
-    copies, places = raster.by_row(data, rows, offsets)
+    raster.count_by_row(data, rows, offsets)
+    copies, places = new("copies", (offsets[-1], raster.SPLAT), np.float32), new("places", (offsets[-1],), np.int32)
+    raster.copy_by_row(data, rows, offsets, copies, places)
     return SortedSplats(data, rows, owners, copies, places, offsets)
 
 
@@ -101,22 +119,18 @@ def blend(
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
 
 
-def shares(splats: SortedSplats, cap: np.float32, number: int, image: np.ndarray, run: Mapper) -> csr_array:
-    """The share of each of ``number`` Gaussians in each pixel, ``[H W, number]``; writes the image, too."""
+def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper) -> list[Shares]:
+    """The shares of Gaussians in the pixels of each row of tiles; the image ``[5, H, W]`` is written, too."""
     size = image.shape[1:]
     last = np.empty(size, np.int32)
 
-    def job(row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def job(row: int) -> Shares:
         tiles, top = splats.tiles(row, size), row * raster.HEIGHT
         part, owners = splats.copies[splats.of(row)], splats.owners[splats.places[splats.of(row)]]
         raster.blend(part, tiles, top, cap, image, last)
         return raster.shares(part, owners, tiles, min(raster.HEIGHT, size[0] - top), size[1], top, cap)
 
-    ends, columns, values = zip(*run(job, range(len(splats.offsets) - 1)), strict=True)
-    starts = np.cumsum([0, *map(len, values)])
-    kind = np.int32 if starts[-1] <= np.iinfo(np.int32).max else np.int64  # half the memory where it does
-    rows = np.concatenate([[0], *map(np.add, ends, starts[:-1])]).astype(kind)
-    return csr_array((np.concatenate(values), np.concatenate(columns), rows), (last.size, number))
+    return list(run(job, range(len(splats.offsets) - 1)))
 
 
 def blend_backward(
