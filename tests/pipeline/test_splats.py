@@ -200,6 +200,7 @@ def test_results_say_whether_cameras_are_those_of_photographs(tmp_path):
     stylize.main([str(tmp_path / "scene.ply"), *short, "--out", str(tmp_path / "chosen")])
     stylize.main([str(tmp_path / "chosen"), *short, "--out", str(tmp_path / "again")])
     assert not read_saved(tmp_path / "chosen").photographed and not read_saved(tmp_path / "again").photographed
+    assert not read_saved(tmp_path / "chosen" / "scene.ply").photographed
     transforms(tmp_path, photographed_wall(3)[1])
     stylize.main([str(tmp_path / "scene.ply"), *short, "--out", str(tmp_path / "stored")])
     assert read_saved(tmp_path / "stored").photographed

@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
     flags.formatter_class = argparse.RawDescriptionHelpFormatter
     flags.add_argument("scene", type=Path, help="a folder of anystyle stylize, or a file of Gaussians")
     flags.add_argument("--style", help="of several styles in it, the title of one (default: the last)")
-    flags.add_argument("--out", default="film", help="where the film goes (default: %(default)s)")
+    flags.add_argument("--out", default="film", help="the film's folder, or a file.mp4 (default: %(default)s)")
     return flags
 
 
@@ -50,7 +50,11 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     if arguments.style not in (None, *titles):
         raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")
     title = arguments.style or titles[-1]
-    folder = job_folder(arguments.out)
-    with atomic_directory(folder) as temporary:
-        video.write(replace(saved, styles=((title, dict(saved.styles)[title]),)), temporary / "video.mp4")
-    print(f"the film is {folder / 'video.mp4'}")
+    saved, out = replace(saved, styles=((title, dict(saved.styles)[title]),)), job_folder(arguments.out)
+    if out.suffix.lower() == ".mp4":
+        out.parent.mkdir(parents=True, exist_ok=True)
+        video.write(saved, out)
+    else:
+        with atomic_directory(out) as temporary:
+            video.write(saved, temporary / "video.mp4")
+    print(f"the film is {out if out.is_file() else out / 'video.mp4'}")

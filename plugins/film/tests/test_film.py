@@ -23,6 +23,7 @@ from anystyle.renderers.auto import AutoRenderer
 from anystyle.testing import asserts, inputs
 from anystyle.testing.inputs import images
 from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle_film.command import FilmCommand
 from anystyle_film.keyframes import Keyframes
 from anystyle_film.metadata import mark_video
 from anystyle_film.mp4 import PROJECTIONS, Mp4
@@ -318,3 +319,15 @@ def test_beyond_what_was_photographed_a_film_fades_to_the_background_unless_told
     assert line == caplog.messages[1] and len(caplog.messages) == 2  # not by the film that fades nothing
     chosen = replace(scene, photographed=False)
     assert (torch.stack(list(film._frames(chosen, chosen.cameras.size)))[-1] > 0.1).any()
+
+
+def test_the_command_writes_a_folder_or_the_file_that_it_is_told(tmp_path, capsys):
+    inputs.gaussians(1, 20).save(tmp_path / "scene.ply")
+    poses = [{"file_path": f"{i}.png", "transform_matrix": torch.eye(4).tolist()} for i in range(2)]
+    (tmp_path / "transforms.json").write_text(
+        json.dumps({"w": 64, "h": 48, "fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24, "frames": poses})
+    )
+    for out, film in (("made", "made/video.mp4"), ("new/a.mp4", "new/a.mp4")):
+        FilmCommand()([str(tmp_path / "scene.ply"), "--out", str(tmp_path / out), "video.frames=2", "video.height=48"])
+        assert capsys.readouterr().out.strip().endswith(film)
+        assert (tmp_path / film).is_file()

@@ -1,7 +1,7 @@
 """The files of a scene besides renders, and reading them back: a folder of results, or a file of Gaussians."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated
@@ -202,7 +202,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         if not any(line.startswith(MADE_OF) for line in notes):
             files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
             notes = (*notes, note("scene", files))
-        return replace(scene, notes=notes, up=up or scene.up)
+        return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
     whole = _report(path)
@@ -223,8 +223,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     notes = (*lines, *(MADE_OF + json.dumps(table) for table in whole.provenance))
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
     pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
-    photographed = report.reconstruction.get("cameras") != CHOSEN
-    shared = {"offset": whole.offset, "pictures": pictures, "photographed": photographed}
+    shared = {"offset": whole.offset, "pictures": pictures, "photographed": _photographed([report])}
     return StyledScene(tuple(styles), cameras, names, notes, **shared)
 
 
@@ -234,13 +233,22 @@ def _report(folder: Path) -> SavedReport:
 
 def made_at(path: Path) -> int | None:
     """The shorter side in pixels of the views of results in a folder, or beside a file; ``None`` if it is unknown."""
+    return next((min(report.size) for report in _reports_of(path) if report.size), None)
+
+
+def _reports_of(path: Path) -> Iterator[SavedReport]:
+    """The reports of results in a folder, or of those that a file is part of."""
     if path.is_dir() and scene_format(path) is None:
-        reports = [path / "report.json", *sorted(path.glob("*/report.json"))]
+        folders = [path, *sorted(file.parent for file in path.glob("*/report.json"))]
     else:  # a report beside a stranger's file may be of anything
         ours = any((path.parent / name).is_file() for name in ("scene.safetensors", "unstyled.safetensors"))
-        reports = [path.parent / "report.json"] if ours else []
-    sizes = (_report(file.parent).size for file in reports if file.is_file())
-    return next((min(size) for size in sizes if size), None)
+        folders = [path.parent] if ours else []
+    return (_report(folder) for folder in folders if (folder / "report.json").is_file())
+
+
+def _photographed(reports: Iterable[SavedReport]) -> bool:
+    """Whether no report says that the cameras were chosen."""
+    return all(report.reconstruction.get("cameras") != CHOSEN for report in reports)
 
 
 def read_gaussians(path: Path) -> Gaussians:
