@@ -58,6 +58,9 @@ MAX_VIEWS, MANY = 320, 48
 """Photographs that are read by default, and from which on Gaussians and steps grow in proportion to them."""
 MAX_UNEXPLAINED = 0.01
 """Median fraction of unexplained pixels: static captures have at most 0.0001, one of which 4 % move 0.02."""
+MAX_UNEXPLAINED_OF_ONE, FAR_MORE = 0.05, 5
+"""The same fraction of single photographs, and its ratio to the median: a photograph of an object that had been turned
+over has 0.07, one of nothing but leaves 0.09, and others have at most 0.035."""
 
 QualityLevel = Literal["draft", "good", "best", "full"]
 
@@ -152,20 +155,34 @@ class Fit(Reconstruction):
                 keep=self.keep,
                 on_progress=on_progress,
             )
-        if result.unexplained > MAX_UNEXPLAINED:
+        usual = float(result.unexplained.median())
+        if usual > MAX_UNEXPLAINED:
             logger.warning(
                 "the scene shows %.0f%% of the pixels of most photographs quite otherwise: something moved while they "
                 "were taken, or the light changed, and what moved is smeared",
-                100 * result.unexplained,
+                100 * usual,
+            )
+        elif unlike := unlike_most(result.unexplained, views.names):
+            logger.warning(
+                "the scene shows much of some photographs quite otherwise: %s. If something stands elsewhere there "
+                "than in the others, leave them out or mask it",
+                ", ".join(unlike),
             )
         measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
-        measures |= {"train_psnr": result.train_psnr, "unexplained": result.unexplained}
+        measures |= {"train_psnr": result.train_psnr, "unexplained": usual}
         found = {"kept": float(result.cached), "twins": float(views.images.shape[1] - len(photographs))}
         measures |= {name: value for name, value in found.items() if value}
         heldout = {} if result.heldout is None else result.heldout._asdict()
         measures |= {f"heldout_{name}": value for name, value in heldout.items()}
         views = to_paint(views, result, renderer)
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
+
+
+def unlike_most(unexplained: Float[Tensor, " V"], names: Sequence[str]) -> list[str]:
+    """Photographs of which the scene shows much otherwise, and far more than of most, the worst first."""
+    least = max(MAX_UNEXPLAINED_OF_ONE, FAR_MORE * float(unexplained.median()))
+    worst = [int(view) for view in unexplained.argsort(descending=True) if unexplained[view] > least]
+    return [f"{names[view] if names else f'number {view + 1}'} ({100 * unexplained[view]:.0f}%)" for view in worst]
 
 
 @torch.no_grad()
@@ -225,7 +242,8 @@ def fit_photographs(
     result = FitResult.from_dict(values, images.device)
     # Back to the order given.
     back = torch.tensor(order, device=images.device).argsort()
-    return replace(result, gains=result.gains[back], biases=result.biases[back], cached=from_cache)
+    by_view = {name: getattr(result, name)[back] for name in ("gains", "biases", "unexplained")}
+    return replace(result, **by_view, cached=from_cache)
 
 
 def _write_state(loop: FitLoop, path: Path, key: str) -> None:

@@ -75,8 +75,8 @@ class FitResult:
     biases: Float[Tensor, "V 3"]
     steps: int
     train_psnr: float  # dB, with each view's exposure
+    unexplained: Float[Tensor, " V"]  # see :func:`unexplained`; 0 of photographs that it was not fitted to
     heldout: Quality | None  # before the final steps
-    unexplained: float = 0.0  # median over photographs
     cached: bool = False
 
     @torch.no_grad()
@@ -297,11 +297,10 @@ class FitLoop:
             on_checkpoint()
         self._carve()
         gains, biases = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach().split(3, 1)
-        pairs = ((self.render(view), self.images[view, None], self._measured([view])) for view in self.training)
-        unlike = float(torch.cat([unexplained(*pair) for pair in pairs]).median())
-        return FitResult(
-            self.gaussians().detach(), 1 + gains, biases, self.step, self.mean, self.quality, unexplained=unlike
-        )
+        unlike = torch.zeros_like(gains[:, 0])
+        for view in self.training:
+            unlike[view] = unexplained(self.render(view), self.images[view, None], self._measured([view]))[0]
+        return FitResult(self.gaussians().detach(), 1 + gains, biases, self.step, self.mean, unlike, self.quality)
 
     @property
     def mean(self) -> float:

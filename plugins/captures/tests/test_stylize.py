@@ -115,6 +115,19 @@ def test_a_moving_figure_is_reported(stylizer, caplog, moves):
     assert ("something moved while they were taken" in caplog.text) is moves
 
 
+def test_a_photograph_of_something_else_is_named(stylizer, caplog):
+    images, cameras, _ = photographed_wall(num_views=6)
+    images = torch.nn.functional.interpolate(images, size=(84, 112), mode="bilinear")
+    images[4, :, 20:64, 30:80] = 0.0
+    names = tuple(f"photo_{view}" for view in range(6))
+    views = Views(images[None], cameras.resized((84, 112)), names=names)
+    fit = Fit(quality="draft", num_gaussians=1500, num_steps=80, holdout=0, keep=False)
+    with caplog.at_level(logging.WARNING):
+        fit(views, encoder(stylizer), stylizer.renderer)
+    (line,) = [record.message for record in caplog.records if "quite otherwise" in record.message]
+    assert "photo_4 (" in line and "photo_3" not in line and "leave them out or mask it" in line
+
+
 def test_a_capture_that_cannot_work_ends_in_a_plain_sentence(tmp_path, stylizer, caplog):
     photos, style = write(tmp_path / "photos", arc(2, 10)), torch.rand(3, 32, 32)
     with caplog.at_level(logging.WARNING):
