@@ -155,17 +155,17 @@ class Fit(Reconstruction):
                 keep=self.keep,
                 on_progress=on_progress,
             )
-        usual = float(result.unexplained.median())
+        usual = float(result.unexplained.nanmedian())
         if usual > MAX_UNEXPLAINED:
             logger.warning(
                 "the scene shows %.0f%% of the pixels of most photographs quite otherwise: something moved while they "
                 "were taken, or the light changed, and what moved is smeared",
                 100 * usual,
             )
-        elif unlike := unlike_most(result.unexplained, views.names):
+        elif unlike := unlike_most(result.unexplained, usual, views.names):
             logger.warning(
-                "the scene shows much of some photographs quite otherwise: %s. If something stands elsewhere there "
-                "than in the others, leave them out or mask it",
+                "the scene differs in a large part of these photographs: %s. If something was moved before they were "
+                "taken, leave them out or mask it",
                 ", ".join(unlike),
             )
         measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
@@ -178,9 +178,9 @@ class Fit(Reconstruction):
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
 
-def unlike_most(unexplained: Float[Tensor, " V"], names: Sequence[str]) -> list[str]:
-    """Photographs of which the scene shows much otherwise, and far more than of most, the worst first."""
-    least = max(MAX_UNEXPLAINED_OF_ONE, FAR_MORE * float(unexplained.median()))
+def unlike_most(unexplained: Float[Tensor, " V"], usual: float, names: Sequence[str]) -> list[str]:
+    """Photographs of which the scene shows much otherwise, and far more than the usual share, the worst first."""
+    least = max(MAX_UNEXPLAINED_OF_ONE, FAR_MORE * usual)
     worst = [int(view) for view in unexplained.argsort(descending=True) if unexplained[view] > least]
     return [f"{names[view] if names else f'number {view + 1}'} ({100 * unexplained[view]:.0f}%)" for view in worst]
 

@@ -1,5 +1,6 @@
 """The optimisation of Gaussians through a renderer, towards posed photographs."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -75,7 +76,7 @@ class FitResult:
     biases: Float[Tensor, "V 3"]
     steps: int
     train_psnr: float  # dB, with each view's exposure
-    unexplained: Float[Tensor, " V"]  # see :func:`unexplained`; 0 of photographs that it was not fitted to
+    unexplained: Float[Tensor, " V"]  # see :func:`unexplained`; NaN of photographs that it was not fitted to
     heldout: Quality | None  # before the final steps
     cached: bool = False
 
@@ -297,7 +298,7 @@ class FitLoop:
             on_checkpoint()
         self._carve()
         gains, biases = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach().split(3, 1)
-        unlike = torch.zeros_like(gains[:, 0])
+        unlike = torch.full_like(gains[:, 0], math.nan)
         for view in self.training:
             unlike[view] = unexplained(self.render(view), self.images[view, None], self._measured([view]))[0]
         return FitResult(self.gaussians().detach(), 1 + gains, biases, self.step, self.mean, unlike, self.quality)
