@@ -132,7 +132,6 @@ NOT_RUN = {
     r"anystyle nerfstudio export poster/": "the scene of that run",
     r"anystyle nerfstudio path ": "a path of nerfstudio's viewer; plugins/formats/tests makes one",
     r"ns-viewer ": "needs nerfstudio",
-    r"(ln -s .*ComfyUI|ANYSTYLE_COMFYUI=)": "needs ComfyUI",
     r"make benchmark-methods ": "sets up an environment from a network; benchmark/tests judge a method beside others",
     r"anystyle benchmark run methods=mine out=": "a method that the reader adds; benchmark/tests run one",
     r"make docs$": "tests/docs/test_site.py does what it does",
