@@ -33,7 +33,7 @@ NUMBERS = ("strength", "preserve_color", "scale")
 class Request:
     """What a stylization is asked for.
 
-    The command line, :func:`anystyle.stylize`, the start page, the viewer, the nodes and the benchmark make one of
+    The command line, :func:`anystyle.stylize`, the start page, the viewer and the benchmark make one of
     these. Options are overrides in Hydra's grammar, composed once, and read as the dataclasses of options.
 
     Args:
