@@ -65,11 +65,6 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             max_body=MAX_UPLOAD,
         )
 
-    @property
-    def is_watched(self) -> bool:
-        """Whether any browser shows it."""
-        return bool(self._views)
-
     def __exit__(self, *_: object) -> None:
         self.server.close()
         self.session.close()

@@ -33,8 +33,8 @@ NUMBERS = ("strength", "preserve_color", "scale")
 class Request:
     """What a stylization is asked for.
 
-    The command line, :func:`anystyle.stylize`, the start page, the viewer and the benchmark make one of
-    these. Options are overrides in Hydra's grammar, composed once, and read as the dataclasses of options.
+    The command line, :func:`anystyle.stylize`, the viewer and the benchmark make one of these. Options are overrides in
+    Hydra's grammar, composed once, and read as the dataclasses of options.
 
     Args:
         inputs: Paths of photographs, patterns, a video or a saved scene; or views in memory. Without any, the
