@@ -17,7 +17,7 @@ def parser() -> argparse.ArgumentParser:
     add, axes = words.add_argument, ("opencv", "y", "z")
     add("scene", type=Path, help="a file of Gaussians, or a folder of anystyle stylize")
     add("--to", help="the format, one of `anystyle plugins format` (default: the suffix of --out)")
-    add("--out", type=Path, required=True, help="the file to write, or the folder")
+    add("--out", type=Path, required=True, help="the file to write")
     add("--up", choices=axes, help="axes of the file (default: what readers of the format expect)")
     add("--from-up", choices=axes, help="axes of another program's file (default: what it says, or else its format)")
     return words

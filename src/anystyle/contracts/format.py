@@ -35,11 +35,6 @@ class Format(Pluggable, ABC):
 
     Without any, a style may move Gaussians or add some.
     """
-    index: ClassVar[str] = ""
-    """The file by which a folder is known as a scene of the format; empty where a scene is one file.
-
-    A literal in the class's own body: formats are not imported to look for it.
-    """
 
     @abstractmethod
     def write(self, scene: StyledScene, path: Path) -> None:
@@ -48,7 +43,7 @@ class Format(Pluggable, ABC):
         Args:
             scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible, and its styles
                 have in common what :attr:`shared` names. A format with room for one style takes the last.
-            path: The file, or the folder.
+            path: The file.
 
         Raises:
             UserError: The format cannot hold the scene.

@@ -37,7 +37,7 @@ def export(
 def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None = None) -> int:
     """Write a scene, whole or not at all; if the format has no field for notes, they are in ``NAME.txt`` beside it.
 
-    Returns the size of the file, or of all files of a folder, in bytes.
+    Returns the size of the file in bytes.
 
     ``name`` is a plugin of kind ``format``; ``up`` one of :data:`~anystyle.pipeline.options.AXES`, or ``None`` for what
     readers of the format expect.
@@ -69,7 +69,7 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
         beside.unlink(missing_ok=True)  # an earlier scene's
         if scene.notes:
             beside.write_text("\n".join(scene.notes) + "\n", encoding="utf-8", errors="backslashreplace")
-    return sum(file.stat().st_size for file in (path, *path.rglob("*")) if file.is_file())
+    return path.stat().st_size
 
 
 def film(options: Mapping[str, Any], renderer: Callable[[Gaussians, Cameras], Renders] | None = None) -> Format:
