@@ -10,19 +10,14 @@ from anystyle.types import StyledScene
 
 
 class Format(Pluggable, ABC):
-    """A file format of Gaussian scenes; its name is the suffix of the files.
+    """A file format of Gaussian scenes; its name is the suffix of the files."""
 
-    A constructor that names ``renderer`` is given a function from Gaussians and cameras to renders if there is one.
-    """
-
-    runtime = ("activated", "renderer")
+    runtime = ("activated",)
 
     up: ClassVar[str] = "opencv"
     """Axes of the format's files, unless they say otherwise: ``opencv``, ``y`` or ``z`` up."""
     reads: ClassVar[bool] = False
     """Whether files are read, too."""
-    needs_cameras: ClassVar[bool] = False
-    """Whether a file is made from cameras; those beside a scene's file are found."""
     has_notes: ClassVar[bool] = False
     """Whether a file has room for :attr:`~anystyle.types.StyledScene.notes`."""
     has_offset: ClassVar[bool] = False

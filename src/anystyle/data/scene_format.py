@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-from anystyle.io import video
 from anystyle.registry.catalog import catalog
 
 
 def scene_format(path: Path) -> str | None:
-    """The format of a file by its suffix; not of films, which are views."""
-    suffix = path.suffix.lower()
-    known = suffix[1:] in catalog().names("format") and suffix not in video.SUFFIXES
-    return suffix[1:] if known and not path.is_dir() else None
+    """The format of a file, by its suffix."""
+    suffix = path.suffix.lower()[1:]
+    return suffix if suffix in catalog().names("format") and not path.is_dir() else None

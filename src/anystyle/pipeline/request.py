@@ -17,8 +17,8 @@ from anystyle.contracts import StyleSource
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.pipeline.controls import FIELDS, Controls, Mask, combinations
-from anystyle.pipeline.export import film
-from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
+from anystyle.pipeline.film import Film
+from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
 from anystyle.pipeline.read import Inputs, check_inputs, paths_of
 from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, check_styles, check_text
 from anystyle.registry.build import build
@@ -111,6 +111,11 @@ class Request:
         return options(self.config, "export")
 
     @property
+    def video(self) -> VideoOptions:
+        """What the film of a result is like."""
+        return options(self.config, "video")
+
+    @property
     def seed(self) -> int:
         """The seed of random numbers."""
         return checked_seed(self.config.seed)
@@ -139,7 +144,7 @@ class Request:
         check_styles(self.all_styles)
         for key in ("views", "splat", "export"):
             options(self.config, key)
-        film(self.config.video)
+        Film(self.video)
         checked_seed(self.config.seed)
 
     def args(self) -> list[str]:
