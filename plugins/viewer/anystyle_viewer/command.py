@@ -13,7 +13,6 @@ from anystyle.contracts import Command
 from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
-from anystyle.pipeline.provenance import anonymous
 from anystyle.pipeline.read import check_inputs, is_saved
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
@@ -32,7 +31,6 @@ def parser() -> argparse.ArgumentParser:
     add = flags.add_argument
     add("input", type=Path, nargs="?", help="a folder of photographs or of results, a video, or a file of Gaussians")
     add("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")
-    add("--no-provenance", action="store_true", help="the page of --html names nothing that it is made of")
     add("--port", type=int, default=8080, help="0 takes a free one (default: %(default)s)")
     kept = "stores styles and uploaded images (default: %(default)s)"
     add("--keep", type=Path, default=Path("out/view"), help=kept)
@@ -65,17 +63,15 @@ class View(Command):
             raise UserError("name what to look at, such as a folder of results: anystyle view out/")
         if arguments.html is not None:
             _write_page(arguments, overrides)
-            return
-        if arguments.no_provenance:
-            raise UserError("--no-provenance is of the page that --html writes; add --html FILE")
-        _serve_scene(arguments, overrides)
+        else:
+            _serve_scene(arguments, overrides)
 
 
 def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
     splat = only_options("splat", overrides)
     saved = read_saved(arguments.input, splat.up, activated=splat.activated)
     saved = replace(saved, title=arguments.input.resolve().stem)
-    size = export_styles(anonymous(saved) if arguments.no_provenance else saved, arguments.html, "html")
+    size = export_styles(saved, arguments.html, "html")
     print(f"{arguments.html}: {len(saved.styles)} styles, {size / 1e6:.2f} MB; open it in any browser")
 
 

@@ -109,13 +109,11 @@ class ExportOptions:
         up: Axes of the scene's files: ``opencv``, ``y`` or ``z`` up; ``None`` is what readers of each format expect,
             which for PLY is OpenCV's.
         formats: Further files of the scene, by plugins of kind ``format``.
-        provenance: Whether files say what the scene was made of: names and hashes of files, texts, networks.
     """
 
     colmap: str = "none"
     up: str | None = None
     formats: list[str] = field(default_factory=list)
-    provenance: bool = True
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))
