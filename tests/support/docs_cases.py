@@ -121,7 +121,6 @@ NOT_RUN = {
     r"anystyle stylize .*poses=sfm_lightglue": "weights of an extra; captures/tests/sfm/test_learned.py has them",
     r"anystyle profile model=anystyle_head": "5 GiB of weights; benchmark/tests profile a small model without any",
     r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
-    r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
     r"anystyle (evaluate -m model=anystyle_head,styl3r|stylize .*model=styl)": "needs published weights",
     r"anystyle report verify DIR --all --cheap": "ends with 2 in a checkout with uncommitted changes",
     r"python -m tests\.benchmarks\.published head CHECKOUT": "minutes, and a checkout of the published code",
