@@ -34,7 +34,7 @@ class Request:
         composed: The configuration with these overrides, where Hydra has composed it already.
 
     Example:
-        >>> Request(Photographs((Path("photos"),)), ("blue ink",), overrides=("views.take=12",)).views.take
+        >>> Request(inputs_of("photos/"), ("blue ink",), overrides=("views.take=12",)).views.take
         12
     """
 
