@@ -93,6 +93,7 @@ def test_two_declarations_fail_on_use_only(plugin_folder):
         ('[project.entry-points."anystyle.loss"]\nx = "a.B"', "not 'module:Class'"),
         ('[project.entry-points."anystyle.loss"]\nx = 3', "not 'module:Class'"),
         ("[project", "cannot be read"),
+        ("a = " + "[" * 10_000, "is nested deeper than"),
     ],
 )
 def test_problems_are_told(plugin_folder, toml, problem):
