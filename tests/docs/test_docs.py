@@ -23,7 +23,7 @@ from anystyle.registry.compose import compose
 from tests.support.docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
-COMPOSED = ("stylize", "train", "evaluate")
+COMPOSED = ("stylize", "film", "train", "evaluate")
 EARLIER = "experiment=paper_head", "name=x", "out=x"
 PROGRAM = re.compile(r"(srun |\w+=\S+ )*(anystyle|torchrun) ")
 ELSEWHERE = {"add_a_plugin.md": "test_commands.py runs every command on it, on the plugins it shows"}
@@ -151,9 +151,8 @@ def test_command_is_understood(page, line):
             flags, _ = importlib.import_module("anystyle_study.commands").COMMANDS[rest[0]]
             split(flags(), rest[1:])
         return
-    if command in ("film", "profile", "start", "view"):
+    if command in ("profile", "start", "view"):
         plugins = {
-            "film": "film.command",
             "profile": "benchmark.command_profile",
             "start": "start.command",
             "view": "viewer.command",
@@ -164,9 +163,6 @@ def test_command_is_understood(page, line):
     if command == "benchmark":
         if rest:
             split(importlib.import_module(f"anystyle_benchmark.command_{rest[0]}").parser(), rest[1:])
-        return
-    if command == "nerfstudio":
-        split(getattr(importlib.import_module("anystyle_formats.nerfstudio.command"), f"{rest[0]}_parser")(), rest[1:])
         return
     if command == "data":
         assert rest[0] == "check"
