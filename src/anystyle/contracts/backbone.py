@@ -140,6 +140,8 @@ class Backbone(Pluggable, nn.Module, ABC):
     adapter: Adapter
     patch_size: int
     resolution: int
+    trusted_cameras: bool = True
+    """Whether the cameras that it predicts are good enough to make a scene with; a small network's are not."""
     frozen: bool = False
     sources: tuple[Source, ...] = ()
     """The published weights that the constructor filled it with, where it does."""
