@@ -228,8 +228,7 @@ def load_model(
     if stylizer is None:
         stylizer, loaded = assemble_frozen(config)
         stylizer = stylizer.to(default_device())
-        known = weights.files().get(str(config.weights.backbone))
-        poses = "auto" if known is not None and known.bundled else "predicted"  # a small network predicts them badly
+        poses = "predicted" if stylizer.backbone.trusted_cameras else "auto"
     method = method or make_method(config, stylizer.style_encoder)
     if reconstruction is None and config.get("reconstruction") is not None:
         reconstruction = build(Reconstruction, config.reconstruction)
