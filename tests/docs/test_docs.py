@@ -20,7 +20,6 @@ from anystyle.commands.plugins_new import write
 from anystyle.evaluation.run import FOLDERS, completed
 from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
-from anystyle_datasets.command import Data
 from tests.support.docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
@@ -169,13 +168,9 @@ def test_command_is_understood(page, line):
     if command == "nerfstudio":
         split(getattr(importlib.import_module("anystyle_formats.nerfstudio.command"), f"{rest[0]}_parser")(), rest[1:])
         return
-    if command == "data" and rest[0] == "shard":
-        _compose("train", None, rest[2:])
-        return
     if command == "data":
-        with pytest.MonkeyPatch.context() as patch, pytest.raises(_ParsedError):
-            patch.setattr("anystyle_datasets.command.parse", _parse_only)
-            Data()(rest)
+        assert rest[0] == "check"
+        parse(importlib.import_module("anystyle_datasets.command").parser(), rest[1:])
         return
     module = importlib.import_module(f"anystyle.commands.{command}")
     if command in COMPOSED:

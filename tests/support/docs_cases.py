@@ -80,7 +80,6 @@ FEWER = {
 are trained by ``ablation/test_ablations.py``."""
 ENDS = {
     r"anystyle weights download ": "cannot be fetched",
-    r"anystyle data caption wikiart ": "captions need transformers",
     r"anystyle stylize .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
     r"anystyle film .*keyframes.json": "there is no file of keyframes keyframes.json",
     r"anystyle stylize .*poses_from=": "poses_from=exports/cameras.xml does not exist",
@@ -88,8 +87,6 @@ ENDS = {
     r"anystyle stylize .*--photo-masks ": "there is no folder of masks",
     r"anystyle stylize scene.spz ": "there is no file scene.spz",
     r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
-    r"anystyle data shard shards experiment=paper_head ": "there are no paintings",
-    r"anystyle data check shards/scenes ": "shards/scenes",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
 }
 """Commands that need a file which is not at hand: they run as well, and end in one line that says which."""
@@ -104,16 +101,14 @@ TELLS = {
 NOT_RUN = {
     r"anystyle NAME$": "a name to fill in",
     r"anystyle plugins check (KIND|cameras) NAME$": "names to fill in",
-    r"anystyle data prepare KIND ROOT$": "names to fill in",
+    r"for archive in ": "archives of 730 GB",
     r"anystyle export SCENE": "a file of a format that the reader adds",
     r"anystyle export .*obj": "a capture whose depth agrees; mesh/tests makes one",
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|notebooks|test|test-smoke|test-slow|format lint)$": "sets up an environment from a network",
-    r"anystyle stylize .*poses=sfm_lightglue": "weights of an extra; captures/tests/sfm/test_learned.py has them",
     r"anystyle profile model=anystyle_head": "5 GiB of weights; benchmark/tests profile a small model without any",
     r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
-    r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
     r"anystyle (evaluate -m model=anystyle_head,styl3r|stylize .*model=styl)": "needs published weights",
     r"anystyle report verify DIR --all --cheap": "ends with 2 in a checkout with uncommitted changes",
     r"python -m tests\.benchmarks\.published head CHECKOUT": "minutes, and a checkout of the published code",

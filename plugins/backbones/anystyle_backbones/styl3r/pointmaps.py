@@ -15,8 +15,6 @@ MOST_POINTS = 4096
 """Points of a view that its camera is fitted to."""
 LEAST_FIELD, LARGEST_FIELD = math.radians(10), math.radians(150)
 """Bounds of the estimated field of view along the shorter side."""
-SAMPLES = 50
-"""Rows and columns, at least, of the pixels that a lens is fitted to, where an image has them."""
 
 
 def points_of(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
@@ -27,7 +25,7 @@ def points_of(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
 
 @torch.no_grad()
 def cameras_of(points: Float[Tensor, "B V H W 3"]) -> Cameras:
-    """Cameras that see each view's points at its pixels, the first in its place.
+    """Cameras that see each view's points at its pixels; the first camera is the identity.
 
     The focal length is the one that the first view's points fit best (as in DUSt3R, arXiv 2312.14132, section 3.3), the
     same for all views, with the principal point in the middle; the poses of other views bring their points onto the
@@ -66,34 +64,3 @@ def focal_of(points: Float[Tensor, "B P 3"], centred: Float[Tensor, "P 2"], shor
         weight = ahead / (centred - focal[:, None, None] * slopes).norm(dim=-1).clamp_min(1e-3)
     bounds = [short_side / 2 / math.tan(field / 2) for field in (LARGEST_FIELD, LEAST_FIELD)]
     return focal.clamp(*bounds)
-
-
-def lens_of(rays: Float[Tensor, "B V H W 3"]) -> Float[Tensor, "B V 4"]:
-    """Focal lengths and principal point (fx, fy, cx, cy), in pixels whose places are their indices.
-
-    They are those by which x / z and y / z of the rays fit columns and rows best, by least squares.
-
-    Source: ``recover_pinhole_intrinsics_from_ray_directions`` (``mapanything/utils/geometry.py``) for images of up to a
-    million pixels.
-    """
-    rows, columns = (
-        torch.arange(0, side, max(1, side // SAMPLES), device=rays.device) for side in (rays.shape[2], rays.shape[3])
-    )
-    chosen = rays[:, :, rows[:, None], columns]
-    away = chosen[..., 2:]
-    slopes = chosen[..., :2] / torch.where(away.abs() < 1e-6, 1e-6, away)
-    places = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).to(rays.dtype)
-    mean, middle = slopes.mean((2, 3)), places.mean((0, 1))
-    centred = slopes - mean[:, :, None, None]
-    focal = (centred * (places - middle)).sum((2, 3)) / centred.square().sum((2, 3)).clamp_min(1e-12)
-    return torch.cat([focal, middle - focal * mean], dim=-1)
-
-
-def renderable(lens: Float[Tensor, "B V 4"], size: tuple[int, int]) -> Float[Tensor, "B V 4"]:
-    """A lens that can be rendered with: fields of view from 10 to 150 degrees, the principal point in the image.
-
-    It changes nothing but what an untrained network predicts; there the published code has negative focal lengths too.
-    """
-    sides = lens.new_tensor([size[1], size[0]])
-    least, largest = (sides / 2 / math.tan(field / 2) for field in (LARGEST_FIELD, LEAST_FIELD))
-    return torch.cat([lens[..., :2].clamp(least, largest), lens[..., 2:].clamp(torch.zeros_like(sides), sides)], dim=-1)
