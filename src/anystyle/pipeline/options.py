@@ -88,7 +88,7 @@ class PoseOptions:
         use: ``predicted``: from the backbone. ``known``: stored beside the photographs by a program that a plugin
             of kind ``cameras`` reads. ``target``: predicted, and the scene is rendered from the stored ones. ``auto``:
             estimated by a plugin of kind ``pose_estimator`` where that succeeds, else predicted; or such a plugin.
-            ``None`` is ``auto`` for a backbone with bundled weights, which predicts cameras badly, else ``predicted``.
+            ``None`` is ``predicted`` for a stylizer in memory and a backbone with ``trusted_cameras``, else ``auto``.
         folder: Holds stored cameras, or is their file, if not in the photographs' folder or the one above.
     """
 

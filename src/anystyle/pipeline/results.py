@@ -1,12 +1,10 @@
 """The last two steps: results of a stylization, restyled one at a time when they are asked for, and their files."""
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
-from itertools import pairwise
 from pathlib import Path
 
 from jaxtyping import Float
@@ -28,6 +26,7 @@ from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, write_colmap
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
+from anystyle.pipeline.words import digest, recorded
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, Renders, SourceImage, StyledScene
 from anystyle.vision.weights import license_lines, licenses
@@ -180,8 +179,8 @@ class Results:
             "weights": model.weights,
             "seed": request.seed,
             "config": without_folders(request.config),
-            "request": recorded_args(request) if model.named else None,
-            "request_sha256": request.digest if model.named else None,
+            "request": recorded(request) if model.named else None,
+            "request_sha256": digest(request) if model.named else None,
         }
         self.video = film(request.config.video, self._render_until_given_up)
         self.given_up = False
@@ -336,17 +335,3 @@ def _pictures_of(images: Iterable[Float[Tensor, "3 H W"]], sources: Sequence[Sou
 
 def _pictures(styles: Sequence[EmbeddedStyle]) -> dict[str, Image.Image]:
     return {style.title: thumbnails([style.cell])[0] for style in styles if isinstance(style.cell, Image.Image)}
-
-
-def recorded_args(request: Request) -> list[str] | None:
-    """The arguments that make a result again, with the names of absolute paths; ``None`` if something is in memory."""
-    try:
-        args = request.args()
-    except UserError:
-        return None
-    named: list[str] = []
-    for before, word in pairwise(["", *args]):
-        # A text may look like a path; the place after its @ is one.
-        start = "@" if "--text" in (before, word.partition("=")[0]) else "^|=|@"
-        named.append(re.sub(f"({start})/(?:[^@]*/)?(?=[^/@])", r"\1", word))
-    return named

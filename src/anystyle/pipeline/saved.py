@@ -25,6 +25,7 @@ from anystyle.io.checkpoint import save_tensors
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
+from anystyle.pipeline.inputs import OWN
 from anystyle.ranges import Count
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
@@ -33,10 +34,8 @@ from anystyle.vision import weights
 UNSTYLED = "unstyled"
 PICTURE = "style.jpg"
 """A small picture of the style, where it is an image."""
-CHOSEN = "chosen around the scene"
-"""What a report says of cameras that are not those of photographs."""
-OWN = ".safetensors"
-"""The suffix of what :func:`save_gaussians` writes."""
+CHOSEN = ("chosen", "chosen around the scene")
+"""What a report says of cameras that are not those of photographs, since 0.2 and before."""
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
@@ -241,7 +240,7 @@ def _reports_of(path: Path) -> Iterator[SavedReport]:
 
 def _photographed(reports: Iterable[SavedReport]) -> bool:
     """Whether no report says that the cameras were chosen."""
-    return all(report.reconstruction.get("cameras") != CHOSEN for report in reports)
+    return all(report.reconstruction.get("cameras") not in CHOSEN for report in reports)
 
 
 def read_gaussians(path: Path) -> Gaussians:
