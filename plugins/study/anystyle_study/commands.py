@@ -203,6 +203,11 @@ def analyze_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     print(out / ("analysis.json" if arguments.no_report else "report.html"))
 
 
+def analyze_command(arguments: argparse.Namespace) -> None:
+    """Analyse answers with the default tests."""
+    analyze_job(compose_command("analyze"), arguments)
+
+
 def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> None:
     texts = {
         "analysis.json": json.dumps(as_json(analysis), indent=1, ensure_ascii=False) + "\n",
