@@ -40,9 +40,8 @@ ADDED = (
     (r"anystyle evaluate .*=SCENES", "scenes.short_side=56"),
     (r"anystyle stylize .*method=(nnfm|stylized_gs)(?!.*--cfg)", "method.num_steps=2"),
     (r"anystyle evaluate .*=paper_text", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),
-    (r"anystyle study design", "participants=4 sets=4 image_size=64"),
-    (r"anystyle study form .*--serve", "--port 0"),
-    (r"anystyle study analyze (?!.*--test)", "sign_flip.resamples=99"),
+    (r"anystyle study design", "study.participants=4 study.sets=4 study.image_size=64"),
+    (r"anystyle study analyze (?!.*study_test)", "study_test.sign_flip.resamples=99"),
     (r"anystyle study power", "--studies 20"),
 )
 """Words that a command is run with behind its own, by what it begins with: sizes and numbers, not what it is about."""
@@ -56,9 +55,6 @@ INSTEAD = {
     "anystyle plugins new protocol NAME": "anystyle plugins new protocol mine",
     "anystyle plugins new study_test NAME": "anystyle plugins new study_test mine",
     "anystyle weights list NAME ...": "anystyle weights list vgg16 alexnet",
-    "anystyle study analyze ... --test NAME NAME.option=value": (
-        "anystyle study analyze study/answers.sqlite --study study --out own --test wilcoxon wilcoxon.method=approx"
-    ),
 }
 """Commands with places to fill in, filled in."""
 FEWER = {
