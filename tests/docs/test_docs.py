@@ -147,9 +147,7 @@ def test_command_is_understood(page, line):
     command, *rest = words[1:]
     assert command in available(), f"{page} shows a command that does not exist: {line}"
     if command == "study":
-        if rest:
-            flags, _ = importlib.import_module("anystyle_study.commands").COMMANDS[rest[0]]
-            split(flags(), rest[1:])
+        _study(*rest)
         return
     if command in ("profile", "start", "view"):
         plugins = {
@@ -173,6 +171,15 @@ def test_command_is_understood(page, line):
         _compose(command, module, rest)
     else:
         _plain(command, module, rest)
+
+
+def _study(name=None, *words):
+    commands = importlib.import_module("anystyle_study.commands")
+    if name in commands.COMPOSED:
+        _, rest = split(commands.COMPOSED[name][0](), words)
+        commands.compose_command(name, [word for word in rest if "=" in word])
+    elif name is not None:
+        parse(commands.form_parser(), words)
 
 
 def _compose(command, module, words):
