@@ -87,8 +87,10 @@ def bars(lines: Sequence["Line"], columns: Sequence["ColumnKey"], better: Mappin
     titles: dict[str, None] = {}
     shown: dict[ColumnKey, dict[str, Line]] = {}
     for line in lines:
-        title = line.title + "\npublished" * (line.origin == "published")
-        titles[title := title + f"\n{line.state}" * bool(line.state)] = None
+        title = f"{line.title}\npublished" if line.origin == "published" else line.title
+        if line.state:
+            title += f"\n{line.state}"
+        titles[title] = None
         for column in columns:
             if math.isfinite(line.value(*column)):
                 shown.setdefault(column, {})[title] = line
