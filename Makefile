@@ -5,7 +5,7 @@ METHODS := plugins/benchmark/anystyle_benchmark/methods
 EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,usd,spz,mesh
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo benchmark-smoke benchmark-methods docs notebooks test tests test-slow fuzz lint format
+.PHONY: setup demo benchmark-smoke benchmark-methods docs notebooks test tests test-smoke test-slow fuzz lint format
 
 setup: .venv/.ready
 
@@ -61,6 +61,12 @@ test: setup
 
 tests: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --durations 15
+
+# A minute: what every other test stands on. Continuous integration runs it on the Pythons that do not run the whole suite.
+SMOKE = tests/geometry tests/injectors tests/io tests/losses tests/nn tests/renderers tests/registry tests/test_types.py
+
+test-smoke: setup
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" $(SMOKE)
 
 test-slow: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --timeout 3600

@@ -160,7 +160,6 @@ def test_figures_of_stand_in_networks_say_so_in_every_table(tmp_path, capsys):
         assert STAND_IN in (Path("out") / name).read_text(), name
 
 
-@pytest.mark.filterwarnings("ignore:.*anystyle.placements.sites.Sites is")  # in a bundled branch
 def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
     from anystyle.pipeline.load import weights_file
 

@@ -18,7 +18,7 @@ ARGS = [
     ["photos/", "--image", "x.png", "--text", "ink", "--mix", "0.25,1.0"],
     ["photos/", "--text", "ink", "--mask", "sphere:0,0,1.5,0.25,soft=0.1", "--mask", "box:-1,-1,0,1,1,2"],
     ["photos/", "--text", "dots@like:0,0,1,0.5,0.1@color", "--image", "x.png@sphere:0,0,1,2"],
-    ["scenes=procedural", "scene=2", "--text", "ink", "--export", "html,spz", "--no-provenance"],
+    ["scenes=procedural", "scene=2", "--text", "ink", "--export", "html,spz"],
     ["./-photos", "./a=b", "--text", "ink"],
     ["photos/", "--image", "45.jpg", "--name", "Blue horses", "--text", "ink", "--image", "b.png", "--name", "夜"],
     ["photos/", "--image", "45.jpg@sphere:0,0,1,2", "--name", "Sea", "--text", "gold@color", "--name", "Gold"],

@@ -10,9 +10,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from anystyle.contracts import Placement
-from anystyle.deprecated import moved_classes
 from anystyle.errors import UserError
-from anystyle.io.run_folder import changes
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
@@ -120,29 +118,6 @@ def test_a_saved_configuration_is_checked_before_anything_is_built(saved, messag
     check_saved({"placement": {"_target_": catalog().find("placement", "head").path}, "branch": [1, "a"]}, "file")
     with pytest.raises(UserError, match=message):
         check_saved(saved, "file")
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "before"),
-    [
-        ("backbone", "anysplat", "anystyle_anysplat.AnySplat"),
-        ("placement", "aggregator", "anystyle.placements.aggregator.Aggregator"),
-        ("placement", "head", "anystyle.placements.head.Head"),
-    ],
-)
-def test_a_saved_configuration_names_classes_that_have_moved_by_their_present_paths(kind, name, before):
-    now = catalog().find(kind, name).path
-    with pytest.warns(DeprecationWarning, match=re.escape(f"file: {before} is {now} now")):
-        saved = check_saved({kind: {"_target_": before, "depth": 2}}, "file")
-    assert saved == {kind: {"_target_": now, "depth": 2}}
-    assert changes({f"{kind}._target_": before}, {f"{kind}._target_": now}) == ""
-
-
-def test_rows_of_moved_classes_lead_to_plugins():
-    paths = [plugin.path for plugin in catalog()]
-    for old, new in moved_classes().items():
-        assert old.endswith(".") == new.endswith(".")
-        assert any(path == new or (new.endswith(".") and path.startswith(new)) for path in paths), old
 
 
 def test_source_lists_the_catalog(composed):

@@ -25,11 +25,9 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import parse_json
 from anystyle.io.ply import MAX_DEGREE
 from anystyle.io.splats import Remarks, Splats
-from anystyle.pipeline.provenance import tables
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats import spz
 from anystyle_formats.packing import columns_of, in_bytes
-from anystyle_formats.provenance import XMP, joined_notes, lines_of, xmp_packet
 from anystyle_formats.reading import Placed, gaussians, joined, offset_of_parts, reading, room_for
 
 NAME, PACKED = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
@@ -58,15 +56,11 @@ class Glb(Format):
             primitive = {"attributes": attributes, "mode": _POINTS, "extensions": {NAME: _KERNEL}}
             meshes.append({"name": title, "primitives": [primitive]})
         asset: dict[str, Any] = {"version": "2.0", "generator": "anystyle"}
-        asset["copyright"] = "\n".join(lines_of(scene.notes))
-        packet = xmp_packet(scene, "model/gltf-binary")
-        if packet is not None:
-            asset |= {"extensions": {XMP: {"packet": 0}}, "extras": {"provenance": tables(scene.notes)}}
+        asset["copyright"] = "\n".join(scene.notes)
         placed = {"translation": list(scene.offset)} if any(scene.offset) else {}
         document = {
             "asset": asset,
-            "extensionsUsed": [NAME, *([XMP] if packet else [])],
-            **({"extensions": {XMP: {"packets": [packet]}}} if packet else {}),
+            "extensionsUsed": [NAME],
             "scene": len(titles) - 1,
             "scenes": [{"name": title, "nodes": [style]} for style, title in enumerate(titles)],
             "nodes": [{"name": title, "mesh": style} | placed for style, title in enumerate(titles)],
@@ -100,8 +94,7 @@ class Glb(Format):
             asset = document["asset"]
             if not str(asset["version"]).startswith("2."):
                 raise ValueError(f"it is of glTF {asset['version']}, and 2.0 is read")
-            extras = asset["extras"] if isinstance(asset.get("extras"), dict) else {}
-            notes = joined_notes(str(asset.get("copyright", "")).splitlines(), extras.get("provenance"))
+            notes = tuple(str(asset.get("copyright", "")).splitlines())
         return StyledScene(found, notes=notes, up=self.up, offset=offset)
 
 

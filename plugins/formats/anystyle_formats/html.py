@@ -25,7 +25,6 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.splats import Splats
 from anystyle.types import Cameras, StyledScene
 from anystyle_formats.packing import columns_of, in_bytes, in_words, joined_bits, morton_order, smallest_three
-from anystyle_formats.provenance import json_ld, readable
 from anystyle_formats.views import best_view
 
 _SCALE_RANGE = 14.0
@@ -68,7 +67,7 @@ def page_of(
         **packing,
         "styles": entries,
         "title": scene.title,
-        "notes": readable(scene.notes),
+        "notes": scene.notes,
         "first": len(entries) - 1,
         "opening": best_view(splats.means, splats.opacities, cameras),
         "cameras": _cameras(cameras),
@@ -83,13 +82,11 @@ def page_of(
         (files("anystyle_formats") / "page" / f"page.{kind}").read_text(encoding="utf-8")
         for kind in ("html", "css", "js")
     )
-    linked = json_ld(scene)
     return Template(template).substitute(
         title=html.escape(scene.title or "A scene by anystyle"),
         policy="" if data else "; connect-src 'self'",
         style=style,
         manifest=_script(manifest),
-        linked=f'<script type="application/ld+json">{_script(linked)}</script>' if linked else "",
         data=data,
         script=script,
     )

@@ -24,10 +24,8 @@ from anystyle.io.images import opened, require_pixels
 from anystyle.io.limits import require
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import near
-from anystyle.pipeline.provenance import tables
 from anystyle.types import StyledScene
 from anystyle_formats.packing import Columns, columns_of, in_bytes, in_words, morton_order, smallest_three
-from anystyle_formats.provenance import joined_notes, lines_of
 from anystyle_formats.reading import gaussians, reading, room_for
 
 PALETTE = 65_536
@@ -105,15 +103,12 @@ def decoded(member: Callable[[str], bytes], file: str, source: Path) -> tuple[di
 
 def notes_of(meta: Mapping[str, Any]) -> tuple[str, ...]:
     """The notes of a scene that ``asset`` has."""
-    said = meta.get("asset", {})
-    return joined_notes(str(said.get("copyright", "")).splitlines(), said.get("provenance"))
+    return tuple(str(meta.get("asset", {}).get("copyright", "")).splitlines())
 
 
 def asset(notes: Sequence[str]) -> dict[str, Any]:
     """What ``asset`` says of a scene's notes."""
-    made_of = tables(notes)
-    named = {"generator": "anystyle", "copyright": "\n".join(lines_of(notes))}
-    return {**named, "provenance": made_of} if made_of else named
+    return {"generator": "anystyle", "copyright": "\n".join(notes)}
 
 
 def encoded_shape(columns: Columns) -> Encoded:

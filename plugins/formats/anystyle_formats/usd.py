@@ -5,7 +5,6 @@ The schema is OpenUSD's since version 26.3 (openusd.org, "ParticleField3DGaussia
 once; what they differ in, as a rule only colours, is in the variants of the set ``style``. The stage is y or z up.
 """
 
-import json
 import re
 import shutil
 import tempfile
@@ -23,10 +22,8 @@ from numpy.typing import NDArray
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_path
 from anystyle.io.splats import Offset, Remarks, Splats
-from anystyle.pipeline.provenance import tables
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_formats.packing import columns_of
-from anystyle_formats.provenance import joined_notes, lines_of, readable
 from anystyle_formats.reading import Placed, cameras_of_one_size, gaussians, joined, offset_of_parts, reading, room_for
 
 SET = "style"
@@ -92,7 +89,7 @@ class Usd(Format):
             named = tuple((title, joined(parts, offset)) for title, parts in styles)
             cameras, views = _read_cameras(stage, offset)
             up = "z" if pxr.UsdGeom.GetStageUpAxis(stage) == pxr.UsdGeom.Tokens.z else "y"
-            notes = joined_notes(list(data.get("notes", ())), json.loads(data.get("provenance", "[]")))
+            notes = tuple(map(str, data.get("notes", ())))
         return StyledScene(named, cameras, views, notes, up=up, offset=offset)
 
 
@@ -159,11 +156,10 @@ def _stage(scene: StyledScene) -> Any:
         prim.CreateHorizontalApertureOffsetAttr(apertures[0] * (0.5 - matrix[0, 2] / width))
         prim.CreateVerticalApertureOffsetAttr(apertures[1] * (matrix[1, 2] / height - 0.5))
         prim.CreateClippingRangeAttr(pxr.Gf.Vec2f(0.01, 1e6))
-    stage.GetRootLayer().documentation = "\n".join(readable(scene.notes))
+    stage.GetRootLayer().documentation = "\n".join(scene.notes)
     stage.GetRootLayer().customLayerData = {
         "generator": "anystyle",
-        "notes": pxr.Vt.StringArray(lines_of(scene.notes)),
-        **({"provenance": json.dumps(made_of)} if (made_of := tables(scene.notes)) else {}),
+        "notes": pxr.Vt.StringArray(list(scene.notes)),
         "variants": pxr.Vt.StringArray(names),
         "styles": pxr.Vt.StringArray([title for title, _ in scene.styles]),
     }

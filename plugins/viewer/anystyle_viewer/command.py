@@ -13,15 +13,12 @@ from anystyle.contracts import Command
 from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
-from anystyle.pipeline.provenance import anonymous
 from anystyle.pipeline.read import check_inputs, is_saved
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
-from anystyle.registry.build import build
-from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import only_options
 from anystyle.vision.weights import license_lines, licenses
 from anystyle_viewer.session import CACHE_SIZE, Session
@@ -32,14 +29,11 @@ def parser() -> argparse.ArgumentParser:
     about = "Look at a scene, and give it styles: photographs, a folder of anystyle stylize, or a file of Gaussians."
     flags = new_parser("view", about)
     add = flags.add_argument
-    shown = "a folder of photographs or of results, a video, or a file of Gaussians; without one, a page where scenes "
-    add("input", type=Path, nargs="?", help=shown + "are made of what is dropped")
+    add("input", type=Path, nargs="?", help="a folder of photographs or of results, a video, or a file of Gaussians")
     add("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")
-    add("--no-provenance", action="store_true", help="the page of --html names nothing that it is made of")
     add("--port", type=int, default=8080, help="0 takes a free one (default: %(default)s)")
     kept = "stores styles and uploaded images (default: %(default)s)"
     add("--keep", type=Path, default=Path("out/view"), help=kept)
-    add("--close-after", type=float, metavar="SECONDS", help="end when no browser has been open for so long")
     return flags
 
 
@@ -61,37 +55,24 @@ def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -
 
 
 class View(Command):
-    """A scene in the browser, restyled while one looks; or as one HTML file; or a page that makes scenes."""
+    """A scene in the browser, restyled while one looks; or as one HTML file."""
 
     def __call__(self, words: Sequence[str]) -> None:
         arguments, overrides = split(parser(), words)
+        if arguments.input is None:
+            raise UserError("name what to look at, such as a folder of results: anystyle view out/")
         if arguments.html is not None:
             _write_page(arguments, overrides)
             return
-        if arguments.no_provenance:
-            raise UserError("--no-provenance is of the page that --html writes; add --html FILE")
-        if arguments.input is None:
-            _open_start_page(arguments, overrides)
-        else:
-            _serve_scene(arguments, overrides)
+        _serve_scene(arguments, overrides)
 
 
 def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
-    if arguments.input is None:
-        raise UserError("--html writes a scene that is given; name a folder of results or a file of Gaussians")
     splat = only_options("splat", overrides)
     saved = read_saved(arguments.input, splat.up, activated=splat.activated)
     saved = replace(saved, title=arguments.input.resolve().stem)
-    size = export_styles(anonymous(saved) if arguments.no_provenance else saved, arguments.html, "html")
+    size = export_styles(saved, arguments.html, "html")
     print(f"{arguments.html}: {len(saved.styles)} styles, {size / 1e6:.2f} MB; open it in any browser")
-
-
-def _open_start_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
-    if overrides:
-        raise UserError(f"{overrides[0]}: without an input, options are chosen on the page; name an input")
-    if "start" not in catalog().names("command"):
-        raise UserError("without an input, the page of anystyle-start opens, which is not installed; name an input")
-    build(Command, "start")(["--port", str(arguments.port), "--keep", str(arguments.keep)])
 
 
 def _serve_scene(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
@@ -102,7 +83,5 @@ def _serve_scene(arguments: argparse.Namespace, overrides: Sequence[str]) -> Non
     opened, folder = (str(arguments.input), overrides), arguments.keep
     with Viewer(open_session(arguments.input, overrides, folder), folder, opened, arguments.port) as viewer:
         print(f"{viewer.server.url} shows {arguments.input}; Ctrl-C ends it", flush=True)
-        watched = time.monotonic()
-        while arguments.close_after is None or time.monotonic() - watched < arguments.close_after:
-            time.sleep(1)
-            watched = time.monotonic() if viewer.is_watched else watched
+        while True:
+            time.sleep(3600)

@@ -16,7 +16,6 @@ from anystyle.io.cache import LRUCache
 from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls, applied, blended
 from anystyle.pipeline.masks import parsed
-from anystyle.pipeline.provenance import note
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
@@ -128,12 +127,6 @@ class Session:
         """The pictures of styles that are given as images, by title."""
         uploaded = {style: self.image_file(style) for style in self.recent}
         return self._pictures | {title_of(style): open_image(file) for style, file in uploaded.items() if file}
-
-    def notes_on(self, styles: Sequence[str]) -> tuple[str, ...]:
-        """Where the scene in some styles comes from, for its files."""
-        given = ((style, self.image_file(style)) for style in styles if style and style not in self.saved)
-        made_of = (note("text", text=style) if file is None else note("image", [file]) for style, file in given)
-        return tuple(dict.fromkeys((*self.notes, *made_of)))
 
     def command(self, inputs: str, words: Sequence[str] = ()) -> str:
         """The command line that reproduces the current style of ``inputs``, opened with the overrides ``words``."""

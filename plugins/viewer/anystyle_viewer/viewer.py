@@ -65,11 +65,6 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             max_body=MAX_UPLOAD,
         )
 
-    @property
-    def is_watched(self) -> bool:
-        """Whether any browser shows it."""
-        return bool(self._views)
-
     def __exit__(self, *_: object) -> None:
         self.server.close()
         self.session.close()
@@ -259,10 +254,10 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             styles = {"unstyled": self.unstyled, **session.cached(), title: session.gaussians}
             styles[title] = styles.pop(title)  # the last one is shown at first
             given = tuple(styles.items()), self.encoded.cameras, tuple(self.encoded.names)
-            notes, page_title = session.notes_on(session.styles()), Path(self._command_words[0]).stem
+            notes, page_title = session.notes, Path(self._command_words[0]).stem
             shared = {"offset": self.encoded.offset, "pictures": session.pictures()}
             shared["photographed"] = self.encoded.photographed
             export_styles(StyledScene(*given, notes, page_title, **shared), path, "html")
         else:
-            lines = "\n".join((title, *session.notes_on(session.current.styles)))
+            lines = "\n".join((title, *session.notes))
             export(session.gaussians, path, path.name.partition(".")[2], notes=lines, offset=self.encoded.offset)

@@ -10,13 +10,14 @@ from PIL import Image
 
 from anystyle.commands import stylize
 from anystyle.contracts import Method
+from anystyle.errors import UserError
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.controls import blended, with_colors_of
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import read_gaussians
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Progress
-from anystyle_viewer.command import open_session
+from anystyle_viewer.command import View, open_session
 from anystyle_viewer.picking import surface_point
 from anystyle_viewer.server import MAX_SIDE, MAX_UPLOAD, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
@@ -48,6 +49,12 @@ def session(restyler):
 def settled(session, request):
     session.request(request)
     return until(lambda: session.current == request and session.gaussians)
+
+
+@pytest.mark.parametrize("words", [[], ["--html", "scene.html"], ["views.take=2"]])
+def test_without_an_input_one_line_says_what_to_type(words):
+    with pytest.raises(UserError, match="anystyle view out/"):
+        View()(words)
 
 
 def test_a_saved_scene_takes_new_styles_and_going_back_costs_nothing(restyler, session):

@@ -20,7 +20,6 @@ def parser() -> argparse.ArgumentParser:
     add("--out", type=Path, required=True, help="the file to write, or the folder")
     add("--up", choices=axes, help="axes of the file (default: what readers of the format expect)")
     add("--from-up", choices=axes, help="axes of another program's file (default: what it says, or else its format)")
-    add("--no-provenance", action="store_true", help="leave out what the scene was made of, names and texts")
     return words
 
 
@@ -28,7 +27,6 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
     """Run the command; overrides are of the options ``splat``."""
     from anystyle.pipeline.export import export_styles
     from anystyle.pipeline.options import SplatOptions
-    from anystyle.pipeline.provenance import anonymous
     from anystyle.pipeline.saved import read_saved, with_stored_cameras
     from anystyle.registry.catalog import catalog
     from anystyle.registry.compose import only_options
@@ -48,7 +46,6 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
     if catalog().find("format", name).load().needs_cameras:
         saved = with_stored_cameras(saved, arguments.scene, splat.folder)
     saved = replace(saved, title=arguments.scene.resolve().stem)
-    saved = anonymous(saved) if arguments.no_provenance else saved
     size = export_styles(saved, arguments.out, name, up=arguments.up)
     print(f"{arguments.out}: {size / 1e6:.2f} MB, {saved.styles[-1][0]}")
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from anystyle.deprecated import present
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.paths import expanded
@@ -51,8 +50,7 @@ def _placed(value: object) -> object:
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The first five values that are not what they were, in words; a class that has moved is what it was."""
-    before = {key: present(str(value)) if key.endswith("_target_") else value for key, value in before.items()}
+    """The first five values that are not what they were, in words."""
     unequal = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
     changed = [key for key in unequal if _placed(before.get(key)) != _placed(now.get(key))]
     shown = [f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:5]]

@@ -23,6 +23,7 @@ from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import colors_alone, kept_render
 from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.options import ViewOptions
+from anystyle.pipeline.provenance import Entry
 from anystyle.pipeline.read import ReadViews
 from anystyle.pipeline.saved import CHOSEN
 from anystyle.pipeline.stages import Stages
@@ -92,7 +93,8 @@ class EncodedCapture:
         targets: Names and cameras of further views to render, in the capture's frame.
         scene_from_known: From the frame of stored or estimated cameras to the capture's, where they differ.
         splat: The file of the scene, where Gaussians were given.
-        notes: Provenance of the scene, without styles and networks.
+        notes: Lines of the file of given Gaussians, such as licences.
+        made_of: The photographs, or the file of given Gaussians.
         offset: What was taken off the positions of given Gaussians.
     """
 
@@ -105,6 +107,7 @@ class EncodedCapture:
     scene_from_known: Similarity | None = None
     splat: Path | None = None
     notes: tuple[str, ...] = ()
+    made_of: tuple[Entry, ...] = ()
     offset: Offset = NEAR
 
     @property

@@ -61,8 +61,6 @@ class ViewOptions:
         masks: A folder with an image named as each photograph, upright as this, white where it counts.
         masked: What is there where a mask is black. ``ignored``: something that is not part of the scene, such as
             passers-by; other photographs show what is behind. ``empty``: nothing, as where a photograph is transparent.
-        frame: What becomes of a frame that all photographs share, such as the window of screenshots or the bars of a
-            film, where their cameras are estimated: ``cut`` or ``keep``.
     """
 
     short_side: Annotated[int, Range(ge=1, le=1 << 16)] | None = None
@@ -72,12 +70,10 @@ class ViewOptions:
     overlap: AtLeastOne | None = None
     masks: str | None = None
     masked: str = "ignored"
-    frame: str = "cut"
 
     def __post_init__(self) -> None:
         check_fields(self, "views")
         _expect("views.masked", self.masked, ("ignored", "empty"))
-        _expect("views.frame", self.frame, ("cut", "keep"))
         if self.masks is not None and not expanded(self.masks).is_dir():
             raise UserError(f"views.masks={self.masks}: there is no folder of masks")
         if self.short_side is not None and not self.resize:
@@ -113,13 +109,11 @@ class ExportOptions:
         up: Axes of the scene's files: ``opencv``, ``y`` or ``z`` up; ``None`` is what readers of each format expect,
             which for PLY is OpenCV's.
         formats: Further files of the scene, by plugins of kind ``format``.
-        provenance: Whether files say what the scene was made of: names and hashes of files, texts, networks.
     """
 
     colmap: str = "none"
     up: str | None = None
     formats: list[str] = field(default_factory=list)
-    provenance: bool = True
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))

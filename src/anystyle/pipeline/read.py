@@ -10,7 +10,6 @@ from torch import Tensor
 
 from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
 from anystyle.data.folder import covering, files_of, read_originals, read_views
-from anystyle.data.frames import Inner, most_common_size, shared_frame
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
@@ -184,12 +183,6 @@ def _estimated(
         most = _max_views(paths, options, reconstruction)
         originals = read_originals(paths, longest=max(estimator.longest, 2 * short_side), max_views=most)
         originals = with_masks(originals, masks)
-    pictures = [original.picture for original in originals]
-    frame = shared_frame(pictures)
-    inner, size = Inner.of(frame), most_common_size(pictures)
-    framed = {original.name: original for original in originals if frame and original.picture.size == size}
-    if cut := options.frame == "cut" and inner.large:
-        originals = [inner.original(one) if one.name in framed else one for one in originals]
     if len(originals) < estimator.min_views:
         few = f"{len(originals)} photographs are too few for their cameras to be found"
         return Verdict("failed", (f"{few}, which takes {estimator.min_views} that overlap",), {})
@@ -197,20 +190,7 @@ def _estimated(
         posed = estimator(
             originals, short_side=short_side, enlarge=enlarge, multiple=backbone.patch_size, on_progress=on_progress
         )
-    if frame:
-        _log.warning(
-            "%d of %d photographs have the same frame (%s), as screenshots of a window and films with bars have; %s",
-            len(framed),
-            len(originals),
-            ", ".join(f"{side} {share:.1%}" for side, share in frame.items()),
-            "it is cut off (views.frame=keep keeps it)"
-            if cut and isinstance(posed, PosedViews)
-            else "it becomes part of the scene unless you cut it off",
-        )
     if isinstance(posed, PosedViews):
-        if cut:
-            sources = (inner.source(one, framed[one.name].size) if one.name in framed else one for one in posed.sources)
-            posed = replace(posed, sources=tuple(sources))
         if posed.cached:
             stages.note("cameras", "were read from the cache of an earlier run with these photographs")
         for doubt in posed.verdict.reasons:

@@ -33,8 +33,8 @@ NUMBERS = ("strength", "preserve_color", "scale")
 class Request:
     """What a stylization is asked for.
 
-    The command line, :func:`anystyle.stylize`, the start page, the viewer, the nodes and the benchmark make one of
-    these. Options are overrides in Hydra's grammar, composed once, and read as the dataclasses of options.
+    The command line, :func:`anystyle.stylize`, the viewer and the benchmark make one of these. Options are overrides in
+    Hydra's grammar, composed once, and read as the dataclasses of options.
 
     Args:
         inputs: Paths of photographs, patterns, a video or a saved scene; or views in memory. Without any, the
@@ -202,7 +202,6 @@ def parser() -> argparse.ArgumentParser:
     add("--photo-masks", metavar="DIR", help=photo_masks)
     formats = "additional files of the scene, by the names of `anystyle plugins format`; several with commas"
     add("--export", default="", metavar="FORMATS", help=formats)
-    add("--no-provenance", action="store_true", help="files say nothing of photographs, styles and networks")
     add("--again", metavar="REPORT", help="what a report.json was asked for; further arguments are added")
     add("--out", default="out", help="where the results go (default: %(default)s)")
     add("--overwrite", action="store_true", help="replace the results of another run in --out")
@@ -221,8 +220,6 @@ def parsed(args: Sequence[str], flags: argparse.ArgumentParser | None = None) ->
         following = args[index + (1 if "=" in args[index] else 2) :]
         return parsed([*map(str, request), *args[:index], *following], flags)
     meant: dict[str, object] = {} if arguments.photo_masks is None else {"views.masks": arguments.photo_masks}
-    if arguments.no_provenance:
-        meant["export.provenance"] = False
     if arguments.export:
         if any(word.startswith("export.formats=") for word in overrides):
             raise UserError("formats are named twice; give --export or export.formats")

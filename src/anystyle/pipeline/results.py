@@ -3,12 +3,11 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from jaxtyping import Float
 from PIL import Image
@@ -23,7 +22,7 @@ from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.export import export_styles, film
 from anystyle.pipeline.load import LoadedModel
-from anystyle.pipeline.provenance import MADE_OF, note, tables, without_folders
+from anystyle.pipeline.provenance import Entry, without_folders
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, write_colmap
@@ -31,7 +30,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, Renders, SourceImage, StyledScene
-from anystyle.vision.weights import License, binding, license_lines, licenses
+from anystyle.vision.weights import license_lines, licenses
 
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 WRITTEN = "scene, renders and video"
@@ -82,15 +81,15 @@ class Result:
             **results.stages.report(),
             **results.provenance,
             "licenses": licenses(results.networks),
-            "notes": [line for line in encoded.notes if not line.startswith(MADE_OF)],
+            "notes": encoded.notes,
             "offset": encoded.offset if any(encoded.offset) else None,
-            "provenance": tables(results.notes([style])),
+            "provenance": results.made_of([style]),
             "versions": VERSIONS,
         }
         for name in ("controls", "texts", "offset"):
             if not report[name]:
                 del report[name]
-        return report if results.export.provenance else _technical(report)
+        return report
 
     def scene(self, shared: Sequence[str] = ()) -> StyledScene:
         """The Gaussians for a file of styles that share attributes: before this one the unstyled, if they are its."""
@@ -173,8 +172,6 @@ class Results:
     ) -> None:
         self.restyler = Restyler(encoded, model.method)
         self.export, self.stages = request.export, stages
-        if not self.export.provenance:
-            encoded, styles = _anonymous(encoded, styles)
         self.encoded, self.styles = encoded, tuple(styles)
         own = [asdict(source) for source in model.method.sources]
         self.method = {"kind": catalog().name_of("method", type(model.method)), "networks": own}
@@ -274,7 +271,7 @@ class Results:
                 if len(alike) > 1:
                     self.export_scene(self.scene(alike, self.styles), folder / f"scene.{name}", name)
         if len(self) > 1:
-            common = {"style": [style.title for style in self.styles], "provenance": tables(self.notes(self.styles))}
+            common = {"style": [style.title for style in self.styles], "provenance": self.made_of(self.styles)}
             write_json(folder / "report.json", report | self.stages.report() | common)
 
     def _wait(self, written: Sequence[Future[Column]]) -> list[Column]:
@@ -291,25 +288,19 @@ class Results:
         """The formats whose file holds several styles: one lies beside the sheet, with all that share what it asks."""
         return {name: kind for name, kind in self.formats.items() if kind.many_styles and len(self) > 1}
 
-    def notes(self, styles: Sequence[EmbeddedStyle]) -> tuple[str, ...]:
-        """On what the scene in these styles was made of; else of licences that bind it alone."""
-        terms = licenses(self.networks)
-        if not self.export.provenance:
-            return (*self.encoded.notes, *binding(license_lines(terms)))
-        networks = [
-            note("network", part=part, names=[entry["file"]], sha256=entry["sha256"], license=terms[part]["license"])
-            for part, entry in self.networks.items()
-        ]
-        given = [*self.encoded.notes, *(line for style in styles for line in style.notes)]
-        return tuple(dict.fromkeys((*license_lines(terms), *given, *networks, note("software", **VERSIONS))))
+    def made_of(self, styles: Sequence[EmbeddedStyle]) -> list[Entry]:
+        """What the scene in these styles was made of, each once."""
+        entries = [*self.encoded.made_of, *(entry for style in styles for entry in style.made_of)]
+        return [entry for index, entry in enumerate(entries) if entry not in entries[:index]]
 
     def scene(
         self, styles: Sequence[tuple[str, Gaussians]], embedded: Sequence[EmbeddedStyle], title: str = ""
     ) -> StyledScene:
         """The scene in styles, as files hold it."""
-        notes, names = self.notes(embedded), tuple(self.encoded.names)
-        lines, encoded = (title, *notes) if title else notes, self.encoded
-        shared, pictures = (encoded.cameras, names, lines, title), _pictures(embedded)
+        encoded, names = self.encoded, tuple(self.encoded.names)
+        lines = tuple(dict.fromkeys((*license_lines(licenses(self.networks)), *encoded.notes)))
+        notes = (title, *lines) if title else lines
+        shared, pictures = (encoded.cameras, names, notes, title), _pictures(embedded)
         return StyledScene(
             tuple(styles), *shared, offset=encoded.offset, pictures=pictures, photographed=encoded.photographed
         )
@@ -345,29 +336,6 @@ def _pictures_of(images: Iterable[Float[Tensor, "3 H W"]], sources: Sequence[Sou
 
 def _pictures(styles: Sequence[EmbeddedStyle]) -> dict[str, Image.Image]:
     return {style.title: thumbnails([style.cell])[0] for style in styles if isinstance(style.cell, Image.Image)}
-
-
-def _anonymous(
-    encoded: EncodedCapture, styles: Sequence[EmbeddedStyle]
-) -> tuple[EncodedCapture, Sequence[EmbeddedStyle]]:
-    """Views and styles without names, texts and pictures of styles."""
-    sources = (replace(source, name=f"view_{i:02d}", path=None) for i, source in enumerate(encoded.sources))
-    names, cameras = encoded.targets or ((), encoded.cameras)
-    targets = (tuple(f"target_{i:02d}" for i in range(len(names))), cameras) if names else None
-    renamed = [replace(style, name=f"style-{n}", title=f"style {n}") for n, style in enumerate(styles, 1)]
-    return (
-        replace(encoded, sources=tuple(sources), targets=targets, notes=binding(encoded.notes)),
-        [replace(style, cell=None, matches=(), notes=()) for style in renamed],
-    )
-
-
-def _technical(report: dict[str, Any]) -> dict[str, object]:
-    """A report without names, hashes, texts and paths."""
-    left_out = ("inputs", "weights", "config", "provenance", "request", "request_sha256")
-    reconstruction = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
-    bound = {part: terms for part, terms in report["licenses"].items() if License.named(terms["license"]).binds}
-    kept = {name: value for name, value in report.items() if name not in left_out}
-    return kept | {"reconstruction": reconstruction, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
 
 
 def recorded_args(request: Request) -> list[str] | None:

@@ -1,6 +1,5 @@
 """The files of a scene besides renders, and reading them back: a folder of results, or a file of Gaussians."""
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
@@ -26,7 +25,6 @@ from anystyle.io.checkpoint import save_tensors
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.provenance import MADE_OF, note
 from anystyle.ranges import Count
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
@@ -77,7 +75,6 @@ class SavedReport:
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     offset: Offset = NEAR
-    provenance: list[dict[str, object]] = field(default_factory=list)
 
 
 def save_gaussians(gaussians: Gaussians, path: Path) -> None:
@@ -191,7 +188,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     if path.suffix.lower() == OWN and path.is_file():
         gaussians, folder = read_gaussians(path), path.parent
         if not (folder / "report.json").is_file():
-            return StyledScene(((path.stem, gaussians),), notes=(note("scene", [path]),), up=up or "opencv")
+            return StyledScene(((path.stem, gaussians),), up=up or "opencv")
         whole = read_unturned(folder, None)
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
@@ -199,9 +196,6 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         scene = build(Format, name, activated=activated).read(path)
         notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
         notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
-        if not any(line.startswith(MADE_OF) for line in notes):
-            files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
-            notes = (*notes, note("scene", files))
         return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
@@ -219,8 +213,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     first, report = next(iter(reports.items()))
     cameras, names = _cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
-    lines = (made, *weights.license_lines(report.licenses), *report.notes)
-    notes = (*lines, *(MADE_OF + json.dumps(table) for table in whole.provenance))
+    notes = (made, *weights.license_lines(report.licenses), *report.notes)
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
     pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
     shared = {"offset": whole.offset, "pictures": pictures, "photographed": _photographed([report])}

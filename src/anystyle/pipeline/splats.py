@@ -20,6 +20,7 @@ from anystyle.methods.colors import KEPT, first_render
 from anystyle.pipeline.encode import EncodedCapture, Group, available, encoder, scene_report
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
+from anystyle.pipeline.provenance import entry
 from anystyle.pipeline.saved import CHOSEN, cameras_beside, made_at, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
@@ -59,9 +60,16 @@ def encode_saved(
     report = scene_report("given", len(sources), start, {}) | {"cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
     original = path if path.is_file() and given.up == "opencv" and not options.activated else None
-    groups = Group.whole(scene)
     return EncodedCapture(
-        stylizer, seen, sources, groups, report, splat=original, notes=given.notes, offset=saved.offset
+        stylizer,
+        seen,
+        sources,
+        Group.whole(scene),
+        report,
+        splat=original,
+        notes=given.notes,
+        made_of=(entry("scene", [path if path.is_file() else path / "report.json"]),),
+        offset=saved.offset,
     )
 
 

@@ -15,7 +15,7 @@ from anystyle.errors import UserError
 from anystyle.examples import resolved, title_of
 from anystyle.io.sheet import Cell, side_by_side, to_pil
 from anystyle.pipeline.controls import Controls, Mask, rescaled
-from anystyle.pipeline.provenance import note
+from anystyle.pipeline.provenance import Entry, entry
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, StyleEmbedding, TextMatch
 
@@ -79,7 +79,7 @@ class EmbeddedStyle:
         embedding: A batch of one.
         style: The image or the text itself; neither for a point between two styles.
         matches: For each text, the nearest description that the encoder knows.
-        notes: On the texts and images that it is made of.
+        made_of: The texts and images.
         controls: How it is applied.
         parts: Several styles by place, whose masks are in their controls, in the order in which they cover each other;
             embedding and style are then the first one's.
@@ -91,7 +91,7 @@ class EmbeddedStyle:
     embedding: StyleEmbedding
     style: Style = field(default_factory=Style)
     matches: tuple[TextMatch, ...] = ()
-    notes: tuple[str, ...] = ()
+    made_of: tuple[Entry, ...] = ()
     controls: Controls = field(default_factory=Controls)
     parts: tuple["EmbeddedStyle", ...] = ()
 
@@ -166,20 +166,20 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
                 )
             title = f"“{' '.join(style.split())}”"
             embedding = replace(stylizer.embed(text=style), scale=scale)
-            given, notes = Style(text=(style,)), (note("text", text=style),)
-            return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), notes)
+            given, made_of = Style(text=(style,)), (entry("text", text=style),)
+            return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), made_of)
         case Path():
             file = resolved(style)
-            title, image, notes = title_of(style), read_image(file, masked=True)[None], (note("image", [file]),)
+            title, image, made_of = title_of(style), read_image(file, masked=True)[None], (entry("image", [file]),)
         case Tensor():
-            title, image, notes = "image", style[None], (note("image"),)
+            title, image, made_of = "image", style[None], (entry("image"),)
         case Style(image=Tensor() as image, names=names):
-            title, notes = names[0] if names else "image", (note("image", names=names),)
+            title, made_of = names[0] if names else "image", (entry("image", names=names),)
         case _:
             raise UserError("a style has neither an image nor a text")
     cell, image = to_pil(image[0]), image if paints else rescaled(image[0], scale)[None]
     embedding = replace(stylizer.embed(image=image.to(stylizer.device)), scale=scale)
-    return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)), notes=notes)
+    return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)), made_of=made_of)
 
 
 def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
@@ -205,7 +205,7 @@ def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedS
         embedding=first.embedding.toward(second.embedding, amount),
         style=first.style if amount == 0 else second.style if amount == 1 else Style(),
         matches=tuple(dict.fromkeys(first.matches + second.matches)),
-        notes=first.notes + second.notes,
+        made_of=first.made_of + second.made_of,
     )
 
 
@@ -218,7 +218,7 @@ def placed(parts: Sequence[EmbeddedStyle]) -> EmbeddedStyle:
         title=" and ".join(part.title for part in parts),
         cell=side_by_side(pictures) if len(pictures) == len(parts) else None,
         matches=tuple(dict.fromkeys(match for part in parts for match in part.matches)),
-        notes=tuple(note for part in parts for note in part.notes),
+        made_of=tuple(entry for part in parts for entry in part.made_of),
         controls=Controls(),
         parts=tuple(parts),
     )

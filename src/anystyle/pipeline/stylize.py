@@ -157,4 +157,4 @@ def encode_inputs(request: Request, model: LoadedModel, stages: Stages) -> Encod
     encoded = encode(
         read(given, stylizer.backbone, views, poses, model.reconstruction, stages), stylizer, views, stages
     )
-    return replace(encoded, notes=photographs(files, encoded.sources))
+    return replace(encoded, made_of=photographs(files, encoded.sources))

@@ -1,16 +1,14 @@
 """Configurations saved in weights, checkpoints and runs: untrusted data, checked before anything is built from them."""
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
-from anystyle.deprecated import present
 from anystyle.errors import UserError
 from anystyle.registry.catalog import catalog
 
 
 def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
-    """A saved configuration, read from ``source``, with the present paths of classes that have moved.
+    """A saved configuration, read from ``source``, as a plain dictionary.
 
     Raises:
         UserError: The configuration names a class outside the catalog, or holds an interpolation.
@@ -24,10 +22,7 @@ def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
             return [checked(value, f"{where}.{index}") for index, value in enumerate(node)]
         said = f"{source}: {where} is {node!r:.100}"
         if where.rpartition(".")[2] == "_target_" and node not in known:
-            if (now := present(str(node))) not in known:
-                raise UserError(f"{said}, which is not a registered plugin; it is not built")
-            warnings.warn(f"{source}: {node} is {now} now", DeprecationWarning, stacklevel=3)
-            return now
+            raise UserError(f"{said}, which is not a registered plugin; it is not built")
         if isinstance(node, str) and "${" in node:
             raise UserError(f"{said}; a saved configuration has no interpolations")
         return node

@@ -15,7 +15,6 @@ from .search import stand_ins as stand_ins
 from .search import verified as verified
 from .table import License as License
 from .table import WeightsFile as WeightsFile
-from .table import binding as binding
 from .table import files as files
 from .table import license_lines as license_lines
 from .table import license_meaning as license_meaning

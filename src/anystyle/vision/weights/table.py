@@ -1,6 +1,6 @@
 """The rows of ``weights.toml``: where each file of weights comes from, under what licence, and what that means."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -112,8 +112,3 @@ def license_lines(terms: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
     """A line for each part of :func:`licenses`, for a file's header or a caption."""
     for part, entry in terms.items():
         yield f"{part}: {entry['file']}, {entry['license']}: {entry['means']}"
-
-
-def binding(lines: Iterable[str]) -> tuple[str, ...]:
-    """Those of :func:`license_lines`, as files hold them, whose licence binds results; others concern the weights."""
-    return tuple(line for line in lines if line.endswith(_MEANINGS[True]))

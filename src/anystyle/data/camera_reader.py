@@ -1,5 +1,0 @@
-"""Deprecated, and gone in 0.3: see :mod:`anystyle.contracts`."""
-
-from anystyle.deprecated import moved
-
-__getattr__ = moved(__name__, "anystyle.contracts")
