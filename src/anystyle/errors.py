@@ -8,7 +8,7 @@ class UserError(ValueError):
     """What was given, what was expected, what to do: one line, and no traceback on the command line."""
 
 
-class MissingExtra(UserError):
+class MissingExtra(UserError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 
 

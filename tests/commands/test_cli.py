@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -269,7 +270,7 @@ def test_a_callback_in_a_folder_of_configurations_does_not_run(command, tmp_path
     )
     status, out, err = command("-cd", "more", "+extra=evil")
     assert (status, out) == (2, "") and not (tmp_path / "ran").exists()
-    assert err.startswith("anystyle: error: Target 'os.system' is blocklisted")
+    assert re.match(r"anystyle: error: Target 'os\.system' is bl[a-z]+listed", err)  # Hydra 1.4 has another word
     assert err.count("\n") == 1
 
 

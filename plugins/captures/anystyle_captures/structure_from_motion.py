@@ -14,6 +14,7 @@ from PIL import Image
 
 from anystyle.contracts import PosedViews, PoseEstimator, Verdict
 from anystyle.data.folder import as_views, common_size, cover, require_views, tell_of_cut
+from anystyle.errors import MissingExtra
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
 from anystyle.types import Cameras, OnProgress, Original, no_progress
@@ -165,7 +166,7 @@ def find_cameras(
             from anystyle_captures.sfm.colmap import search
         except ImportError as error:
             needed = "pip install pycolmap (for Linux and Windows on x86-64, macOS on arm64)"
-            raise ImportError(f"cameras from photos need pycolmap: {needed}") from error
+            raise MissingExtra(f"cameras from photos need pycolmap: {needed}") from error
 
         def judged(options: SearchOptions) -> tuple[SparseModel, Verdict]:
             return judge(*search(arranged, options, ordered=ordered, threads=threads, on_progress=on_progress))

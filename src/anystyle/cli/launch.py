@@ -79,7 +79,7 @@ def launch(
             print(f"{job} failed: {one_line(error) or type(error).__name__}", file=sys.stderr, flush=True)
             raise JobError(error) from error  # Hydra goes on with the other jobs
 
-    run_hydra = hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)
+    run_hydra = hydra.main(config_path=str(folder or paths.CONF), config_name=config_name, **VERSION_BASE)
     with _for_hydra(words):
         try:
             run_hydra(task)()
@@ -148,12 +148,14 @@ def _for_hydra(words: Sequence[str]) -> Iterator[None]:
     """
     variables = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
     argv, before = sys.argv, {name: os.environ.get(name) for name in variables}
+    state = HydraConfig.instance()
+    running = state.cfg
     sys.argv = [argv[0], *words]
     os.environ.update(variables)
     try:
         yield
     finally:
-        sys.argv = argv
+        sys.argv, state.cfg = argv, running
         for name, value in before.items():
             os.environ.pop(name, None)
             if value is not None:

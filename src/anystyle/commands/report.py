@@ -7,7 +7,7 @@ from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.run import run, words_of
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.evaluation import plots, published_figures, run_table, runs
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import contact_sheet
@@ -75,7 +75,7 @@ def _side_by_side(
     try:
         if plots.bars(lines, columns, better, out / "figures.png"):
             written.append("figures.png")
-    except ImportError as error:
+    except MissingExtra as error:
         print(f"no plot: {error}", file=sys.stderr)
     print(table.markdown(), end="")
     return written

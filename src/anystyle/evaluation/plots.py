@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.data.images import open_image
+from anystyle.errors import MissingExtra
 from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
@@ -23,7 +24,7 @@ def plotting() -> Any:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        raise ImportError('plots need matplotlib: pip install "anystyle[report]"') from None
+        raise MissingExtra('plots need matplotlib: pip install "anystyle[report]"') from None
     return Figure
 
 
