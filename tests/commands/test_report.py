@@ -102,12 +102,15 @@ def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "metrics.json").write_text("{")
+    (tmp_path / "infinite").mkdir()
+    (tmp_path / "infinite" / "metrics.json").write_text('{"psnr": 1e400, "n": [' + "9" * 400 + "]}")
     (tmp_path / "rows.json").write_text(json.dumps({"rows": 1}))
     cases = {
         "no folder is named": [],
         "there is no folder": [str(tmp_path / "absent")],
         "holds no runs": [str(tmp_path / "empty")],
         "is not a valid file of figures": [str(tmp_path / "broken")],
+        "is not a valid file of figures; evaluate again (Number out of range": [str(tmp_path / "infinite")],
         "is not a valid file of published figures": ["--published", str(tmp_path / "rows.json")],
         "unrecognized arguments: --wiht-published. Did you mean '--with-published'?": ["--wiht-published"],
     }

@@ -111,6 +111,10 @@ def truncated_safetensors(path: Path):
     path.write_bytes(path.read_bytes()[:-5000])
 
 
+def endless_header(path: Path):
+    path.write_bytes(b"\xff" * 64)
+
+
 def script(path: Path):
     torch.jit.save(torch.jit.trace(torch.nn.Linear(2, 2), torch.zeros(1, 2)), path)
 
@@ -123,6 +127,7 @@ BAD = [
     (evil, "bad.ckpt", r"bad\.ckpt holds code or objects of other programs \(builtins\.print\)"),
     (truncated, "bad.pt", "is truncated or no file of weights"),
     (truncated_safetensors, "bad.safetensors", "is truncated or no file of weights"),
+    (endless_header, "bad.safetensors", "is truncated or no file of weights"),
     (no_tensors, "bad.pt", "holds no plain state dict"),
     (script, "clip.pt", "TorchScript program; get the state dict"),
 ]

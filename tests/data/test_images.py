@@ -68,7 +68,10 @@ def test_what_is_no_picture_is_refused_in_one_line(tmp_path):
     (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:20000])
     noise.save(tmp_path / "whole.jpg")
     (tmp_path / "half.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:2000])
+    (tmp_path / "endless.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(x) = {} loop\n")
+    (tmp_path / "vast.png").write_bytes(b"P6\n9999999 9999999\n255\n")
     told = {"text.png": "is not an image", "empty.jpg": "is not an image", "absent.png": "there is no image"}
+    told |= {"endless.png": "is not an image", "vast.png": "too many pixels"}
     for name, words in (told | {"half.png": "damaged", "half.jpg": "damaged"}).items():
         with pytest.raises(ValueError, match=words) as caught:
             open_image(tmp_path / name)

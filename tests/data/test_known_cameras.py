@@ -53,6 +53,22 @@ def test_targets_are_placed_among_predicted_cameras(capture):
     torch.testing.assert_close(similarity.scale, torch.tensor(2.5))
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("transforms.json", b"[" * 10_000, "is nested deeper than"),
+        ("transforms.json", b'{"w": 48, "h": 36, "fl_x": 0, "frames": []}', "at 'fl_x'"),
+        ("poses_bounds.npy", b"\x93NUMPY\x01\x00v\x00{'shape': (9999999999, 17)}", "is not a valid array of poses"),
+    ],
+)
+def test_damaged_files_are_refused(capture, name, content, told):
+    (capture / "transforms.json").unlink()
+    (capture / name).write_bytes(content)
+    with pytest.raises(ValueError, match=told) as caught:
+        from_files(*sources(capture, 2))
+    assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
 def test_poses_that_do_not_match_are_refused(capture, tmp_path):
     with pytest.raises(ValueError, match="1 of 4 photographs have no stored camera"):
         from_files(*sources(capture, 4))[2].of_all(["0", "1", "2", "3"])

@@ -66,6 +66,10 @@ def test_other_files_are_refused(tmp_path):
     (tmp_path / "text.ply").write_text("no ply")
     with pytest.raises(ValueError, match="is not a PLY file of Gaussians"):
         Gaussians.load(tmp_path / "text.ply")
+    header = "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n"
+    (tmp_path / "vast.ply").write_text(header)
+    with pytest.raises((ValueError, MemoryError)):
+        Gaussians.load(tmp_path / "vast.ply")
     random_gaussians().save(tmp_path / "scene.ply")
     data = (tmp_path / "scene.ply").read_bytes().replace(b"property float opacity", b"property float opulence")
     (tmp_path / "other.ply").write_bytes(data)

@@ -12,9 +12,7 @@ from anystyle.testing.oracle import hashed
 from anystyle.types import Scene
 from tests.support.backbone_cases import network, same, views
 
-FROM_SCRATCH = ["anysplat", "depth_anything", "worldmirror"]
-"""Those that may start from values by which photographs are reproduced on a plane."""
-NAMES = [*FROM_SCRATCH, "mapanything"]
+NAMES = ["anysplat", "depth_anything"]
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -52,7 +50,7 @@ def test_checkpointing_changes_no_gradient(name: str) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float64])
 def test_other_precisions(name: str, dtype: torch.dtype) -> None:
-    backbone = network(name, **({"fuse": False} if name in ("anysplat", "worldmirror") else {}))
+    backbone = network(name, **({"fuse": False} if name == "anysplat" else {}))
     with torch.no_grad():
         expected = backbone.encode(views(2))
         scene = backbone.to(dtype).encode(views(2))
@@ -80,11 +78,6 @@ def test_autocast_keeps_geometry_in_full_precision(backbone: Backbone) -> None:
 
 class TestScratch:
     """An untrained network shows its photographs on a plane at depth 1."""
-
-    @pytest.fixture(scope="class", params=FROM_SCRATCH)
-    @classmethod
-    def name(cls, request: pytest.FixtureRequest) -> str:
-        return request.param
 
     @pytest.fixture(scope="class")
     @classmethod

@@ -10,13 +10,14 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle import Controls, ExportOptions, Mixture, Named, PoseOptions, Request, ViewOptions
+from anystyle import Controls, ExportOptions, Mixture, Named, PoseOptions, ViewOptions
 from anystyle.commands import stylize
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import read_views
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import embed_styles, slug
+from anystyle.pipeline.words import args_of, request
 from anystyle.types import Gaussians, Style
 
 VIEWS = ViewOptions(short_side=56, take=3)
@@ -75,10 +76,10 @@ def test_the_call_and_a_report_make_what_the_command_made(photographs, tmp_path,
     for file in {*files[0]} - {Path("report.json")}:
         assert len({(tmp_path / name / file).read_bytes() for name in "abc"}) == 1, file
     reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in "abc"]
-    assert reports[0]["request"] == Request.from_args(words).args()
+    assert reports[0]["request"] == args_of(request(words))
     for report in reports:
         del report["seconds"], report["write_share"], report["reconstruction"]["seconds"]
-    typed, made, again = (Request.from_args(report.pop("request")) for report in reports)
+    typed, made, again = (request(report.pop("request")) for report in reports)
     assert typed.config == made.config and typed.styles == made.styles and typed == again
     assert reports[0] == reports[1] == reports[2] and reports[0]["config"]["views"]["take"] == 2
 

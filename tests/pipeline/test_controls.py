@@ -1,12 +1,10 @@
 """How a style is applied: closed forms, scipy, and the ends that must be exact."""
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from PIL import Image
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -16,11 +14,11 @@ from anystyle.commands import stylize
 from anystyle.contracts import PosedViews
 from anystyle.data.folder import covering, read_views
 from anystyle.data.images import to_tensor
-from anystyle.geometry.harmonics import colors, constant_from_rgb
+from anystyle.geometry.harmonics import colors
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
-from anystyle.pipeline.masks import Alike, Box, Photographs, Sphere, inside, mask_files, parsed
-from anystyle.pipeline.request import Request
+from anystyle.pipeline.masks import Box, MaskFolder, Sphere, inside, mask_files, parsed
 from anystyle.pipeline.saved import read_gaussians
+from anystyle.pipeline.words import request
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Original
 from anystyle_captures.structure_from_motion import StructureFromMotion
@@ -113,22 +111,6 @@ def test_signed_distances_of_a_sphere_and_a_box():
     assert bool((soft[outside > 0.25] == 0).all()) and bool((soft[box == 1] >= 0.5 - 1e-6).all())
 
 
-def test_what_looks_alike_is_near_and_of_one_color():
-    """A red and a blue half of a line: near a red end, red ones alone, and those within reach."""
-    places = torch.linspace(0, 1, 40)
-    gaussians = gaussians_of(count=40)
-    colors = torch.where(places[:, None] < 0.5, torch.tensor([0.9, 0.1, 0.1]), torch.tensor([0.1, 0.1, 0.9]))
-    colors[3] += torch.tensor([0.05, 0.0, 0.0])  # not quite the same red
-    gaussians = replace(
-        gaussians, means=F.pad(places[None, :, None], (0, 2)), harmonics=constant_from_rgb(colors)[None, :, None]
-    )
-    shown = SeenScene([], Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (2, 2)), TorchRenderer())
-    everywhere = Alike((0.0, 0.0, 0.0), radius=10.0, tolerance=0.2).weights(gaussians, shown)[0]
-    assert torch.equal(everywhere, (places < 0.5).float())
-    near = Alike((0.0, 0.0, 0.0), radius=0.3, tolerance=0.2).weights(gaussians, shown)[0]
-    assert torch.equal(near, (places <= 0.3).float())
-
-
 def test_a_soft_edge_runs_smoothly_from_one_to_zero():
     distance = torch.linspace(-1, 1, 101)
     weights = inside(distance, 1.0)
@@ -153,12 +135,12 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     mask[:, 64:] = 255
     Image.fromarray(mask).save(tmp_path / "one.png")
     shown = SeenScene([covering("one", size, size)], cameras, TorchRenderer())
-    weights = Photographs(tmp_path).weights(gaussians, shown)[0]
+    weights = MaskFolder(tmp_path).weights(gaussians, shown)[0]
     assert weights.shape == (4,) and weights[:2].max() < 0.02 and weights[2:].min() > 0.98
     behind = replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0]))
-    assert float(Photographs(tmp_path).weights(behind, shown).abs().max()) < 1e-5
+    assert float(MaskFolder(tmp_path).weights(behind, shown).abs().max()) < 1e-5
     with pytest.raises(ValueError, match="no mask for the photograph two"):
-        Photographs(tmp_path).weights(gaussians, replace(shown, sources=[covering("two", size, size)]))
+        MaskFolder(tmp_path).weights(gaussians, replace(shown, sources=[covering("two", size, size)]))
 
 
 def test_a_mask_follows_the_photograph_that_is_made_straight(tmp_path):
@@ -184,21 +166,28 @@ def test_a_mask_follows_the_photograph_that_is_made_straight(tmp_path):
 def test_words_become_masks(tmp_path):
     assert parsed("sphere:1,2,3,0.5,soft=0.1") == Sphere((1.0, 2.0, 3.0), 0.5, 0.1)
     assert parsed("box:0,0,0,1,2,3") == Box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
-    assert parsed("like:1,2,3,0.5,0.2,soft=0.1") == Alike((1.0, 2.0, 3.0), 0.5, 0.2, 0.1)
-    assert parsed(f"{tmp_path},soft=0") == Photographs(tmp_path, 0.0)
-    for word in ("nowhere", "sphere:1,2,3", "sphere:1,2,3,-1", "box:1,2,3,0,0,0", "sphere:a,b,c,d", "like:1,2,3,4"):
+    assert parsed(f"{tmp_path},soft=0") == MaskFolder(tmp_path, 0.0)
+    for word in (
+        "nowhere",
+        "sphere:1,2,3",
+        "sphere:1,2,3,-1",
+        "box:1,2,3,0,0,0",
+        "sphere:a,b,c,d",
+        "ball:1",
+        "box:0,0,0,1,1,1,soft=x",
+    ):
         with pytest.raises(ValueError, match="mask"):
             parsed(word)
 
 
 def test_flags_become_every_combination():
     words = ["--strength", "0,0.5", "--preserve-color", "1", "photos", "--scale", "2", "--text", "x"]
-    controls = list(Request.from_args(words).controls)
+    controls = list(request(words).controls)
     assert controls == [Controls(0.0, 1.0, 2.0), Controls(0.5, 1.0, 2.0)]
-    assert Request.from_args([]).controls == (Controls(),)
+    assert request([]).controls == (Controls(),)
     for words in (["--strength", "x"], ["--strength", "1.5"], ["--scale", "0"]):
         with pytest.raises(ValueError):
-            Request.from_args(words)
+            request(words)
 
 
 def test_strengths_are_a_strip_from_the_unstyled_scene_on(photographs, tmp_path):
@@ -248,7 +237,7 @@ def test_several_styles_share_a_scene_by_place(photographs):
 
 def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog):
     """What Python says attribute by attribute: the colours of one style, the rotations of another."""
-    stylizer = anystyle.load("tiny_paper")
+    stylizer = anystyle.load("tiny")
     styles = anystyle.Places(
         (("dots", Controls(attributes=("color",))), ("hatching", Controls(attributes=("rotation",))))
     )
@@ -269,30 +258,6 @@ def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog)
     list(anystyle.stylize(photographs, anystyle.Places((("dots", Controls(attributes=("scale",))),)), model=stylizer,
                           reconstruction="feedforward", views=VIEWS))  # fmt: skip
     assert caplog.messages == ["“dots” leaves the scale as it is; branch.styled names what a branch styles"]
-
-
-def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("masks").mkdir()
-    Path("a@b.jpg").touch()
-    words = ["photos", "--text", "dots@sphere:0,0,1,0.5,soft=0.1", "--text", "me@home", "--image", "a@b.jpg@masks"]
-    (places,) = Request.from_args(words).styles
-    assert places == anystyle.Places(
-        (("me@home", None), ("dots", Sphere((0.0, 0.0, 1.0), 0.5, 0.1)), (Path("a@b.jpg"), Photographs(Path("masks"))))
-    )
-    assert Request.from_args(["photos", "--image", "a@b.jpg"]).styles == (Path("a@b.jpg"),)
-    words = ["photos", "--text", "dots@color", "--text", "you@masks@rotation+scale", "--image", "a@b.jpg@scale@masks"]
-    (places,) = Request.from_args(words).styles
-    masks = Photographs(Path("masks"))
-    assert places.styles == (
-        ("dots", Controls(attributes=("color",))),
-        ("you", Controls(mask=masks, attributes=("rotation", "scale"))),
-        (Path("a@b.jpg"), Controls(mask=masks, attributes=("scale",))),
-    )
-    with pytest.raises(ValueError, match="ball"):
-        Request.from_args(["photos", "--image", "b.jpg@ball:1"])
-    with pytest.raises(ValueError, match="--mix"):
-        Request.from_args([*words[:3], "--mix", "0.5"])
 
 
 def test_masks_lie_in_the_folders_of_photographs_or_are_named_as_views(tmp_path):

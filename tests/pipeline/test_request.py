@@ -9,7 +9,9 @@ import torch
 import anystyle
 from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
 from anystyle.errors import UserError
-from anystyle.pipeline.results import recorded_args
+from anystyle.pipeline.inputs import Given, Photographs, SavedScene, inputs_of
+from anystyle.pipeline.words import args_of, recorded, request
+from anystyle.types import Views
 
 ARGS = [
     ["photos/", "--text", "blue ink", "views.take=3"],
@@ -17,49 +19,47 @@ ARGS = [
     ["photos/", "--text=--dashes", "--strength", "0.0,0.5", "--scale", "2.0", "seed=3"],
     ["photos/", "--image", "x.png", "--text", "ink", "--mix", "0.25,1.0"],
     ["photos/", "--text", "ink", "--mask", "sphere:0,0,1.5,0.25,soft=0.1", "--mask", "box:-1,-1,0,1,1,2"],
-    ["photos/", "--text", "dots@like:0,0,1,0.5,0.1@color", "--image", "x.png@sphere:0,0,1,2"],
     ["scenes=procedural", "scene=2", "--text", "ink", "--export", "html,spz"],
     ["./-photos", "./a=b", "--text", "ink"],
     ["photos/", "--image", "45.jpg", "--name", "Blue horses", "--text", "ink", "--image", "b.png", "--name", "夜"],
-    ["photos/", "--image", "45.jpg@sphere:0,0,1,2", "--name", "Sea", "--text", "gold@color", "--name", "Gold"],
 ]
 
 
 @pytest.mark.parametrize("args", ARGS)
 def test_arguments_are_a_request_and_back(args):
-    request = Request.from_args(args)
-    assert Request.from_args(request.args()) == request
-    assert json.loads(json.dumps(request.args())) == request.args()
+    asked = request(args)
+    assert request(args_of(asked)) == asked
+    assert json.loads(json.dumps(args_of(asked))) == args_of(asked)
 
 
 def test_styles_have_the_order_in_which_they_are_typed():
-    assert Request.from_args(ARGS[1]).styles == (Path("x.png"), "then words", Path("y.png"))
-    assert Request.from_args(ARGS[3]).styles[0] == Mixture(Path("x.png"), "ink", 0.25)
+    assert request(ARGS[1]).styles == (Path("x.png"), "then words", Path("y.png"))
+    assert request(ARGS[3]).styles[0] == Mixture(Path("x.png"), "ink", 0.25)
 
 
 def test_values_of_python_are_the_request_of_the_command_line():
-    made = Request.made(
+    made = Request.of(
         "photos/", ["ink"], [Controls(strength=0.5)], model="tiny", views=ViewOptions(take=3, short_side=56),
         poses=PoseOptions("known", "cameras/"), export=ExportOptions(formats=["html"]), video={"frames": 2}, seed=None,
     )  # fmt: skip
     words = "views.short_side=56 views.take=3 poses=known poses_from=cameras/ export.formats=[html] video.frames=2"
-    typed = Request.from_args(["photos/", "--text", "ink", "--strength", "0.5", "model=tiny", *words.split()])
-    assert Request.from_args(made.args()).config == typed.config and made.inputs == ("photos",)
+    typed = request(["photos/", "--text", "ink", "--strength", "0.5", "model=tiny", *words.split()])
+    assert request(args_of(made)).config == typed.config and made.inputs == Photographs((Path("photos"),))
     assert made.views == typed.views and made.poses == typed.poses == PoseOptions("known", "cameras/")
     assert made.export.formats == ["html"] and made.config.video.frames == 2 and made.seed == 0
 
 
 @pytest.mark.parametrize(
-    "request_",
+    "asked",
     [
         Request(styles=(torch.zeros(3, 8, 8),)),
         Request(styles=(Mixture("a", "b", 0.5), Mixture("a", "c", 0.5))),
         Request(styles=("a",), controls=(Controls(0.5), Controls(1.0, preserve_color=1.0))),
     ],
 )
-def test_what_has_no_command_line_is_told(request_):
+def test_what_has_no_command_line_is_told(asked):
     with pytest.raises(UserError, match="have no command line"):
-        request_.args()
+        args_of(asked)
 
 
 @pytest.mark.parametrize(
@@ -79,15 +79,38 @@ def test_what_has_no_command_line_is_told(request_):
 )
 def test_arguments_that_make_no_sense_are_a_line(args, message):
     with pytest.raises(UserError, match=message):
-        Request.from_args(args)
+        request(args)
 
 
 def test_a_recorded_request_names_files_without_their_folders_and_leaves_texts(tmp_path):
     (tmp_path / "masks").mkdir()
-    args = [f"{tmp_path}/photos/", "--text", "/imagine a castle/tower", "--image", f"/x/a.jpg@{tmp_path}/masks"]
-    recorded = recorded_args(Request.from_args([*args, "views.masks=/p/q"]))
-    assert recorded[0] == "photos/" and recorded[-1] == "views.masks=q"
-    assert "/imagine a castle/tower" in recorded and any(word.startswith("a.jpg@masks") for word in recorded)
+    args = [f"{tmp_path}/photos/", "--text", "/imagine a castle/tower", "--image", "/x/a.jpg"]
+    named = recorded(
+        request([*args, "--mask", f"{tmp_path}/masks", "--photo-masks", f"{tmp_path}/masks", "poses_from=/p/q"])
+    )
+    assert named == [
+        "photos",
+        *args[1:3],
+        "--image",
+        "a.jpg",
+        "--mask",
+        "masks,soft=0.01",
+        "views.masks='masks'",
+        "poses_from=q",
+    ]
+
+
+def test_what_the_inputs_are_is_decided_once(tmp_path):
+    (tmp_path / "scene.ply").touch()
+    (tmp_path / "results").mkdir()
+    for name in ("report.json", "unstyled.safetensors"):
+        (tmp_path / "results" / name).touch()
+    for name in ("scene.ply", "results"):
+        assert inputs_of(tmp_path / name) == SavedScene(tmp_path / name) == inputs_of([str(tmp_path / name)])
+    two = [tmp_path / "scene.ply", tmp_path / "a.jpg"]
+    assert inputs_of(two) == Photographs(tuple(two)) and inputs_of([]) is None
+    views = Views(torch.zeros(1, 1, 3, 8, 8))
+    assert inputs_of(views) == Given(views)
 
 
 def test_a_result_of_something_in_memory_has_no_request(photographs, tmp_path):

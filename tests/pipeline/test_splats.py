@@ -14,11 +14,11 @@ from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
 from anystyle.methods.colors import fit_colors
 from anystyle.pipeline import splats
+from anystyle.pipeline.encode import BYTES, BYTES_A_PIXEL, encode, require_splat
 from anystyle.pipeline.export import export
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import read_saved
-from anystyle.pipeline.splats import encode_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_cpu_renderer.renderer import CpuRenderer
@@ -28,6 +28,10 @@ from tests.support.worlds import painting
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 COLORS = ("f_dc", "f_rest")
+
+
+def encoded_file(path, stylizer, views, options):
+    return encode(splats.read_splat(path, stylizer, views, options, Stages()), stylizer, views, Stages())
 
 
 def glossy(degree=1):
@@ -84,7 +88,7 @@ def test_the_command_gives_the_file_back_with_other_colours(file, tmp_path, keep
     changed = [name for name in after.dtype.names if after[name].tobytes() != before[name].tobytes()]
     assert changed == ["f_dc_0", "f_dc_1", "f_dc_2"]
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["reconstruction"]["kind"] == "given" and report["reconstruction"]["cameras"] == "stored beside it"
+    assert report["reconstruction"]["kind"] == "given" and report["reconstruction"]["cameras"] == "stored"
     assert report["inputs"] == ["0", "2", "4"] and report["method"] == {"kind": "branch", "networks": []}
 
 
@@ -95,7 +99,7 @@ def test_a_file_in_other_axes_is_seen_upright_and_comes_back_in_ours(tmp_path):
     for up in ("opencv", "z"):
         export(glossy(), tmp_path / f"{up}.ply", "ply", up=up)
         options = SplatOptions(cameras=2, up=None if up == "z" else up)
-        encoded[up] = encode_saved(tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options, Stages())
+        encoded[up] = encoded_file(tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options)
     torch.testing.assert_close(encoded["z"].views.images, encoded["opencv"].views.images, rtol=0, atol=2e-3)
     torch.testing.assert_close(Restyler(encoded["z"], Branch()).unstyled.means, glossy().means, rtol=0, atol=1e-5)
     assert encoded["opencv"].splat is not None and encoded["z"].splat is None
@@ -110,7 +114,7 @@ def test_cameras_that_are_stored_see_what_they_saw(tmp_path):
     seen, sources, origin = splats.cameras_of(
         tmp_path / "scene.ply", alone(wall()), ViewOptions(short_side=40), SplatOptions(cameras=5), 8, 224
     )
-    assert origin == "stored beside it" and [source.name for source in sources] == list("01234")
+    assert origin == "stored" and [source.name for source in sources] == list("01234")
     assert seen.size == (40, 48)
     with torch.no_grad():
         renders = RENDERER(Gaussians.load(tmp_path / "scene.ply"), seen).color[0]
@@ -126,7 +130,7 @@ def test_cameras_around_a_scene_see_it_whole(tmp_path):
     seen, sources, origin = splats.cameras_of(
         tmp_path / "scene.ply", alone(scene), ViewOptions(), SplatOptions(cameras=6), 14, 112
     )
-    assert origin == "chosen around the scene" and len(sources) == 6 and seen.size == (112, 112)
+    assert origin == "chosen" and len(sources) == 6 and seen.size == (112, 112)
     with torch.no_grad():
         alpha = RENDERER(scene, seen).alpha[0]
     border = torch.cat([alpha[:, 0], alpha[:, -1], alpha[:, :, 0], alpha[:, :, -1]], dim=1)
@@ -149,12 +153,12 @@ def test_harmonics_that_are_kept_are_taken_into_account():
 
 def test_memory_is_told_and_refused_before(monkeypatch):
     device = torch.device("cpu")
-    monkeypatch.setattr(splats, "available", lambda device: 4 << 30)
+    monkeypatch.setattr("anystyle.pipeline.encode.available", lambda device: 4 << 30)
     cameras = Cameras(torch.zeros(1, 24, 4, 4), torch.zeros(1, 24, 3, 3), (384, 384))
-    line = splats.require_splat(1_000_000, cameras, device)
+    line = require_splat(1_000_000, cameras, device)
     assert line == "1,000,000 Gaussians from 24 views take about 1.6 GiB"
     with pytest.raises(ValueError, match=r"fewer Gaussians, or fewer views with splat\.cameras"):
-        splats.require_splat(5_000_000, cameras, device)
+        require_splat(5_000_000, cameras, device)
 
 
 def test_what_it_takes_is_what_was_told():
@@ -170,7 +174,7 @@ def test_what_it_takes_is_what_was_told():
     fit_colors(scene, cameras, targets, RENDERER, steps=0)  # compiled before
     idle = sampled_peak(lambda: None)
     used = sampled_peak(lambda: fit_colors(scene, cameras, targets, RENDERER, steps=1)) - idle
-    assert used < count * splats.BYTES + views * 64**2 * splats.BYTES_A_PIXEL
+    assert used < count * BYTES + views * 64**2 * BYTES_A_PIXEL
 
 
 def test_results_are_restyled_at_the_size_they_were_made_at(tmp_path):
@@ -184,13 +188,13 @@ def test_results_are_restyled_at_the_size_they_were_made_at(tmp_path):
     stylizer, given = anystyle.load(), SplatOptions(cameras=2)
     folder = next(path for path in made.iterdir() if (path / "scene.ply").is_file())
     for path in (made, folder, folder / "scene.ply"):
-        assert min(encode_saved(path, stylizer, ViewOptions(), given, Stages()).views.size) == 56
+        assert min(encoded_file(path, stylizer, ViewOptions(), given).views.size) == 56
     alone = tmp_path / "elsewhere" / "deeper" / "scene.ply"
     alone.parent.mkdir(parents=True)
     alone.write_bytes((folder / "scene.ply").read_bytes())
     (alone.parent / "report.json").write_text('{"size": "of something else"}')
-    assert encode_saved(alone, stylizer, ViewOptions(), given, Stages()).views.size == (378, 378)
-    assert encode_saved(alone, stylizer, ViewOptions(short_side=28), given, Stages()).views.size == (28, 28)
+    assert encoded_file(alone, stylizer, ViewOptions(), given).views.size == (378, 378)
+    assert encoded_file(alone, stylizer, ViewOptions(short_side=28), given).views.size == (28, 28)
 
 
 def test_results_say_whether_cameras_are_those_of_photographs(tmp_path):
@@ -201,6 +205,9 @@ def test_results_say_whether_cameras_are_those_of_photographs(tmp_path):
     stylize.main([str(tmp_path / "chosen"), *short, "--out", str(tmp_path / "again")])
     assert not read_saved(tmp_path / "chosen").photographed and not read_saved(tmp_path / "again").photographed
     assert not read_saved(tmp_path / "chosen" / "scene.ply").photographed
+    report = tmp_path / "chosen" / "report.json"
+    report.write_text(report.read_text().replace('"cameras": "chosen"', '"cameras": "chosen around the scene"'))
+    assert not read_saved(tmp_path / "chosen").photographed  # as 0.1 wrote it
     transforms(tmp_path, photographed_wall(3)[1])
     stylize.main([str(tmp_path / "scene.ply"), *short, "--out", str(tmp_path / "stored")])
     assert read_saved(tmp_path / "stored").photographed

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,8 @@ import torch
 from PIL import Image
 
 from anystyle.types import Gaussians
+from anystyle_datasets.re10k import Re10kScenes
+from anystyle_study.protocol import read_study
 from tests.support.docs_cases import ROOT, blocks
 from tests.support.weights_cases import training_checkpoint
 
@@ -68,23 +69,18 @@ def of_data(folder: Path) -> None:
     """Data sets as their publishers hand them out."""
     _data_sets(folder, frames_each=33)
     (folder / "DL3DV-10K" / "train_index.json").unlink()
-    times = [40_000 * number for number in range(3)]
-    rows = [f"{time} 0.9 1.2 0.5 0.5 0 0 1 0 0 {time} 0 1 0 0 0 0 1 0" for time in times]
-    for number, time in enumerate(times):
-        _picture(folder / "RealEstate10K" / "frames" / "train" / "clip" / f"{time}.png", seed=50, shift=number)
-    (folder / "RealEstate10K" / "train").mkdir()
-    (folder / "RealEstate10K" / "train" / "clip.txt").write_text("\n".join(["https://youtube.com/watch?v=x", *rows]))
+    (folder / "RealEstate10K").mkdir()
+    Re10kScenes.example(folder / "RealEstate10K")
     (folder / "styl3r" / "test").mkdir(parents=True)
     shutil.copy(folder / "wikiart/Cubism/painter_0.jpg", folder / "styl3r/test/abstract_0.jpg")
-    for scene in ("tanks_and_temples/Train", "tanks_and_temples/Truck", "tanks_and_temples/M60", "360_v2/garden"):
+    for scene in ("Train", "Truck", "M60", "Garden"):
         for frame in range(16):
-            _picture(folder / scene / "images" / f"{frame:05d}.jpg", seed=60, shift=frame % 8)
+            _picture(folder / "tables" / "content" / scene / f"{frame:05d}.jpg", seed=60, shift=frame % 8)
     for style in range(50):
-        _picture(folder / "stylos" / "examples" / "styles" / f"{style:02d}.jpg", seed=100 + style)
-    with zipfile.ZipFile(folder / "evaluation_and_splits.zip", "w") as archive:
-        archive.writestr("style_descriptions.txt", "".join(f"{style:02d}.jpg;words\n" for style in range(50)))
-        archive.writestr("wikiarts_descriptions.txt", "Cubism/painter_0.jpg;grey planes\n")
-        archive.writestr("wikiarts_test_files.txt", "Cubism/painter_1.jpg\n")
+        for place in ("stylos/examples/styles", "tables/style_images"):
+            _picture(folder / place / f"{style:02d}.jpg", seed=100 + style)
+    descriptions = "".join(f"{style:02d}.jpg;words\n" for style in range(50))
+    (folder / "tables" / "style_descriptions.txt").write_text(descriptions)
 
 
 def of_study(folder: Path) -> None:
@@ -94,6 +90,21 @@ def of_study(folder: Path) -> None:
         for place, name in enumerate(("one/s0", "one/s1", "two/s0", "two/s1")):
             for view in range(3):
                 _picture(folder / "results" / method / name / f"{view}.png", seed=seed + place, shift=view)
+
+
+def answer_study(folder: Path) -> None:
+    """The files that all participants of the folder's study save at the end."""
+    study = read_study(folder / "study")
+    (folder / "answers").mkdir()
+    for number, person in enumerate(study.participants):
+        rows = [
+            {"participant": person.id, "item": item, "question": question.name, "side": side, "score": 1 + place % 5}
+            for place, item in enumerate(person.order, start=number)
+            for question in study.plan.questions
+            for side in question.sides
+        ]
+        saved = {"study": study.id, "participant": person.id, "responses": rows}
+        (folder / "answers" / f"answers-{person.id}.json").write_text(json.dumps(saved))
 
 
 def of_plugins(folder: Path) -> None:

@@ -189,18 +189,15 @@ class Dpt(DptTrunk):
         features: Channels of the decoder, a multiple of 8; at full size they are half.
         hidden: Channels of the last hidden layer.
         outputs: Channels of the result.
-        bias: Whether the last hidden layer has one.
         options: Those of :class:`DptTrunk`.
     """
 
-    def __init__(
-        self, *, features: int, hidden: int, outputs: int, bias: bool = True, **options: Unpack[DptTrunkOptions]
-    ) -> None:
+    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[DptTrunkOptions]) -> None:
         super().__init__(features=features, **options)
         self.width = features // 2
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
         self.output = nn.Sequential(
-            nn.Conv2d(features // 2, hidden, 3, padding=1, bias=bias),
+            nn.Conv2d(features // 2, hidden, 3, padding=1),
             nn.ReLU(inplace=True),
             nn.Conv2d(hidden, outputs, 1),
         )

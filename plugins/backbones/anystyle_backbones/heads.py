@@ -128,15 +128,11 @@ class GeometryHead(contracts.GeometryHead):
         with torch.autocast(images.device.type, enabled=False):
             # Cameras too: under autocast a product of matrices would leave poses with three digits.
             cameras = self.camera.cameras(last.data[:, :, 0].to(self.depth.dtype), (images.shape[-2], images.shape[-1]))
-        depth, confidence = self.decoded(self.depth, features, images).exp().unbind(-1)
+            levels, size = [features[layer] for layer in self.taps], (images.shape[-2], images.shape[-1])
+            raw = decoded_maps(self.depth, levels, size, chunk=self.chunk).float()
+        depth, confidence = raw.exp().unbind(-1)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
         return geometry if self.aligner is None else self.aligner.aligned(geometry, images, last.reference)
-
-    def decoded(self, dpt: Dpt, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V H W F"]:
-        """What a decoder predicts at the images' size, in fp32."""
-        size, levels = (images.shape[-2], images.shape[-1]), [features[layer] for layer in self.taps]
-        with torch.autocast(images.device.type, enabled=False):
-            return decoded_maps(dpt, levels, size, chunk=self.chunk).float()
 
 
 def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int, camera_heads: int = 1) -> None:
@@ -179,22 +175,9 @@ def centred_cameras(
     """
     height, width = size
     focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
-    one = torch.ones_like(focal_x)
-    lens = torch.stack([focal_x, focal_y, one * (width / 2), one * (height / 2)], dim=-1)
-    return pinhole_cameras(rotation, origin, lens, size)
-
-
-def pinhole_cameras(
-    rotation: Float[Tensor, "B V 3 3"],
-    origin: Float[Tensor, "B V 3"],
-    lens: Float[Tensor, "B V 4"],
-    size: tuple[int, int],
-) -> Cameras:
-    """Cameras at ``origin``, turned by world from camera; ``lens`` is fx, fy, cx and cy, in pixels."""
     last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)
     # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
     pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
-    focal_x, focal_y, center_x, center_y = lens.unbind(-1)
     zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
-    entries = [focal_x, zero, center_x, zero, focal_y, center_y, zero, zero, one]
+    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
     return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)

@@ -14,8 +14,9 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import read_json
 from anystyle.io.sheet import save_png, to_pil
+from anystyle.pipeline import words
 from anystyle.pipeline.export import export_styles
-from anystyle.pipeline.request import Request
+from anystyle.pipeline.inputs import inputs_of
 from anystyle.pipeline.results import Results
 from anystyle.types import Cameras, SourceImage
 from anystyle_benchmark.job import SECONDS, WEIGHTS, Job
@@ -49,8 +50,8 @@ def stylized(job: Job, args: Sequence[str]) -> tuple[Results, Cameras]:
     """A job's results, each computed when it is asked for, and its cameras; ``args`` are those of a preset."""
     given = [f"views.short_side={min(job.size)}", f"seed={job.seed}"]
     request = replace(
-        Request.from_args([*given, *(word.replace("{seed}", str(job.seed)) for word in args)]),
-        inputs=tuple(job.photographs.values()),
+        words.request([*given, *(word.replace("{seed}", str(job.seed)) for word in args)]),
+        inputs=inputs_of(list(job.photographs.values())),
         styles=tuple(str(style.text) if style.image is None else Path(style.image) for style in job.styles),
     )
     results = anystyle.stylize(request)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from math import fsum
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -14,15 +14,12 @@ from PIL import Image
 
 from anystyle.contracts import PosedViews, PoseEstimator, Verdict
 from anystyle.data.folder import as_views, common_size, cover, require_views, tell_of_cut
-from anystyle.errors import MissingExtra
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
 from anystyle.types import Cameras, OnProgress, Original, no_progress
-from anystyle.vision import weights
 from anystyle_captures.cache import cached, key_of
+from anystyle_captures.sfm.colmap import search
 from anystyle_captures.sfm.model import (
-    LEARNED,
-    LEARNED_NETWORKS,
     MIN_VIEWS,
     SEARCHES,
     Photograph,
@@ -30,7 +27,7 @@ from anystyle_captures.sfm.model import (
     SimpleRadial,
     SparseModel,
 )
-from anystyle_captures.sfm.trust import extends, judge, unconfirmed
+from anystyle_captures.sfm.trust import judge
 
 logger = logging.getLogger(__name__)
 
@@ -45,7 +42,6 @@ class StructureFromMotion(PoseEstimator):
     min_views = MIN_VIEWS
     longest = 1600
     reconstruction = "fit"
-    searches: ClassVar[Sequence[SearchOptions]] = SEARCHES
 
     def __init__(self, *, keep: bool = True) -> None:
         self.keep = keep
@@ -70,7 +66,6 @@ class StructureFromMotion(PoseEstimator):
         result = find_cameras(
             photographs,
             ordered=all(original.path is None for original in originals),
-            searches=self.searches,
             threads=torch.get_num_threads(),
             keep=self.keep,
             on_progress=on_progress,
@@ -109,24 +104,6 @@ class StructureFromMotion(PoseEstimator):
         )
 
 
-class LightGlueStructureFromMotion(StructureFromMotion):
-    """As ``sfm``, and where SIFT leaves photographs out, a further search by ALIKED features that LightGlue matches.
-
-    Args:
-        keep: Whether the result is cached.
-
-    Raises:
-        MissingWeights: The extra ``lightglue`` is not installed.
-    """
-
-    searches = (*SEARCHES, LEARNED)
-
-    def __init__(self, *, keep: bool = True) -> None:
-        super().__init__(keep=keep)
-        for name in LEARNED_NETWORKS:  # before the other searches, which take long
-            weights.find(name)
-
-
 @dataclass(frozen=True)
 class FoundCameras:
     """The cameras of one capture."""
@@ -147,12 +124,10 @@ def find_cameras(
 ) -> FoundCameras:
     """Find where photographs of one rigid scene were taken, by their features and COLMAP's two mappers.
 
-    Further searches follow while photographs lack a confirmed camera and are not enlarged for it, by the same features
-    only where there are more pixels than were searched. One whose verdict is good counts, among these the one that
-    finds most cameras. A model by learned features counts where the same rules find it good, before a good one only
-    where it extends this, and its verdict is at most doubtful. The same photographs and searches give the same cameras,
-    bit for bit, on any number of threads and in whatever order they are given, unless they are ordered. A failure
-    raises nothing: the verdict states it.
+    Further searches follow while photographs lack a confirmed camera and have more pixels than were searched. A search
+    whose verdict is good is preferred, then the one that finds most cameras. The same photographs and searches give the
+    same cameras, bit for bit, on any number of threads and in whatever order they are given, unless they are ordered. A
+    failure raises nothing: the verdict states it.
     """
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):
@@ -162,12 +137,6 @@ def find_cameras(
     arranged = [photographs[view] for view in order]
 
     def compute() -> dict[str, Any]:
-        try:
-            from anystyle_captures.sfm.colmap import search
-        except ImportError as error:
-            needed = "pip install pycolmap (for Linux and Windows on x86-64, macOS on arm64)"
-            raise MissingExtra(f"cameras from photos need pycolmap: {needed}") from error
-
         def judged(options: SearchOptions) -> tuple[SparseModel, Verdict]:
             return judge(*search(arranged, options, ordered=ordered, threads=threads, on_progress=on_progress))
 
@@ -186,10 +155,9 @@ def find_cameras(
 
 
 class Searched(NamedTuple):
-    """What a search found, by which features, and whether it counts before others with more cameras."""
+    """What a search at a longer side of so many pixels found."""
 
-    by: str
-    good: bool
+    pixels: int
     model: SparseModel
     verdict: Verdict
 
@@ -198,9 +166,10 @@ class Searched(NamedTuple):
         """Photographs with a camera."""
         return int(self.model.registered.sum())
 
-    def rank(self) -> tuple[bool, int]:
-        """What counts first is larger."""
-        return self.good, self.registered
+    @property
+    def good(self) -> bool:
+        """Whether the cameras are confirmed."""
+        return self.verdict.trust == "good"
 
 
 def best_search(
@@ -208,32 +177,25 @@ def best_search(
     searches: Sequence[SearchOptions],
     judged: Callable[[SearchOptions], tuple[SparseModel, Verdict]],
 ) -> Searched:
-    """Search until all photographs have a confirmed camera, and choose what counts; ``judged`` does one search."""
-    longer, count, by = max(max(photograph.size) for photograph in photographs), len(photographs), ""
+    """Search until all photographs have a confirmed camera, and choose the best; ``judged`` does one search."""
+    longer, count = max(max(photograph.size) for photograph in photographs), len(photographs)
     found: list[Searched] = []
     for previous, options in zip([None, *searches[:-1]], searches, strict=True):
-        same = previous is not None and previous.features == options.features and longer <= previous.max_side
-        if same or (found and longer < options.min_side):
-            continue  # more features of the same pixels, or of enlarged ones, find wrong places
-        by = options.described(longer)
+        if previous is not None and longer <= previous.max_side:
+            break  # more features of the same pixels find wrong places
+        pixels = min(longer, options.max_side)
         if found:
-            before = found[-1].registered, count, found[-1].by
-            logger.info("%d of %d photographs have a camera by %s; searching again by %s", *before, by)
-        model, verdict = judged(options)
-        good = verdict.trust == "good"
-        if options.features == "aliked":
-            if found and not good:
-                continue  # most of these are wrong
-            known = max(found, key=Searched.rank).model if found else SparseModel.empty(count)
-            good = good and extends(model, known)
-            rest = model.registered & ~known.registered if good else model.registered
-            verdict = unconfirmed(verdict, [photographs[view].name for view in np.flatnonzero(rest).tolist()])
-        found.append(Searched(by, good, model, verdict))
-        if count < MIN_VIEWS or (model.registered.all() and good):
+            logger.info(
+                "%d of %d photographs have a camera by SIFT at %d pixels; searching again by SIFT at %d pixels",
+                *(found[-1].registered, count, found[-1].pixels, pixels),
+            )
+        found.append(Searched(pixels, *judged(options)))
+        if count < MIN_VIEWS or (found[-1].good and found[-1].registered == count):
             break
-    best = max(found, key=Searched.rank)
-    if by != found[0].by:
-        logger.info("the cameras of %d of %d photographs are by %s", best.registered, count, best.by)
+    best = max(found, key=lambda searched: (searched.good, searched.registered))
+    if len(found) > 1:
+        where = best.registered, count, best.pixels
+        logger.info("the cameras of %d of %d photographs are by SIFT at %d pixels", *where)
     return best
 
 

@@ -4,17 +4,12 @@ import os
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
-
-import msgspec
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
@@ -23,18 +18,16 @@ from anystyle.data.names import matched
 from anystyle.data.poses import read_poses, stored_cameras
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.errors import UserError
-from anystyle.io.documents import read_json
+from anystyle.io.documents import kept_json, read_json
 from anystyle.io.images import Picture
 from anystyle.registry.compose import override
-from anystyle.types import OnProgress, Progress, no_progress
-from anystyle_datasets.files import pictures_below
-from anystyle_datasets.packing import BEGUN
 from anystyle_datasets.re10k import Re10kScenes
-from anystyle_datasets.shards import INDEX, ROWS, SceneSample, Shards, StyleSample
-from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
+from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, pictures_below, read_list
 
 P = TypeVar("P", Path, bytes)
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]
+INDEX = "train_index.json"
+"""DL3DV's list of scenes."""
 REDUCED = ("images_8", "images_4")
 """Where DL3DV keeps photographs: those of 480P, of 960P."""
 IMAGE_FOLDERS: dict[str, str | None] = {
@@ -48,20 +41,18 @@ IMAGE_FOLDERS: dict[str, str | None] = {
 
 @dataclass
 class FolderReport:
-    """What a folder holds, the overrides (``use``) that train on it, and the command that it needs before, if any."""
+    """What a folder holds, and the overrides (``use``) that train on it."""
 
     layout: Layout
     use: str
-    prepare: str = ""
-    scenes: int = 0  # that can be used; 0 for styles
+    usable: list[str] = field(default_factory=list)  # names of the scenes with enough views; none for styles
+    unlisted: bool = False  # ``use`` names a list of scenes that is not there
     images: int = 0  # that can be decoded
     sizes: Counter[tuple[int, int]] = field(default_factory=Counter)  # images of each width and height
     views: Counter[int] = field(default_factory=Counter)  # scenes with each number of views
     posed: int = 0  # images with a camera
     texts: int = 0  # images with a description
     problems: list[str] = field(default_factory=list)
-    shards: int = 0
-    damaged: int = 0  # samples of shards whose bytes are not those that were written
 
 
 def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decode: bool = True) -> FolderReport:
@@ -76,49 +67,6 @@ def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decod
     chosen = layout or guess(root)
     readers = {"scenes": _scenes, "re10k": _re10k, "styles": _styles, "wikiart": _wikiart}
     return readers[chosen](root, min_views, decode)
-
-
-def is_sharded(root: Path) -> bool:
-    """Whether shards lie in a folder, or are being written there."""
-    return any((root / name).is_file() for name in (INDEX, ROWS, BEGUN))
-
-
-def check_shards(
-    root: str, min_views: int = 2, decode: bool = True, on_progress: OnProgress = no_progress
-) -> FolderReport:
-    """Read every byte of a folder of shards, which may be an address, and hold it against the index."""
-    shards = Shards(root)
-    kind, rows, names = shards.index.kind, shards.rows, shards.index.names
-    report = FolderReport(kind, words(**{kind: "shards", f"{kind}__root": root}), shards=len(shards.index.shards))
-    scenes = kind == "scenes"
-    blocks = map(shards.group, range(len(names))) if scenes else np.array_split(rows, -(-len(rows) // 64))
-    for number, block in enumerate(blocks):
-        samples = list(_intact(shards, block, SceneSample if scenes else StyleSample, report))
-        pictures = [(shards.place(row), picture) for row, _, picture in samples if picture is not None]
-        good = _look([picture for _, picture in pictures], report, decode, [place for place, _ in pictures])
-        for _, about, _ in samples:
-            report.posed += isinstance(about, SceneSample) and about.world_from_camera is not None
-            report.texts += isinstance(about, StyleSample) and bool(about.text)
-        if scenes:
-            _count(report, names[number], len(good), min_views)
-        on_progress(Progress.count("checking", number + 1, len(names) if scenes else -(-len(rows) // 64)))
-    return report
-
-
-def _intact(
-    shards: Shards, rows: NDArray[np.void], shape: type[msgspec.Struct], report: FolderReport
-) -> Iterator[tuple[np.void, msgspec.Struct, bytes | None]]:
-    """Samples with their rows; damaged ones, which are sought one by one where there are some, are problems."""
-    try:
-        for row, sample in zip(rows, shards.read(rows, shape), strict=True):
-            yield row, *sample
-    except UserError as error:
-        if len(rows) > 1:
-            for index in range(len(rows)):
-                yield from _intact(shards, rows[index : index + 1], shape, report)
-        else:
-            report.problems.append(str(error))
-            report.damaged += 1
 
 
 def locate(root: Path) -> Path:
@@ -147,20 +95,21 @@ def exported(root: Path) -> list[Path]:
     return sorted(path for folder in (root, root / "data") for path in folder.glob("*.parquet"))
 
 
-def unindexed(root: Path) -> list[Path]:
-    """The folders of DL3DV's scenes at any depth, in order: those that hold reduced photographs without originals."""
+def nested_scenes(root: Path) -> list[Path]:
+    """The folders of DL3DV's scenes at any depth, in order: those that hold reduced photographs without originals.
+
+    Those that ``test_index.json`` names, if there is one, are left out.
+    """
     found: list[Path] = []
     for folder, inside, _ in os.walk(root):
         path = Path(folder)
-        if (
-            path != root
-            and "images" not in inside
-            and any(name in inside and image_files(path / name) for name in REDUCED)
-        ):
+        reduced = [name for name in REDUCED if name in inside and image_files(path / name)]
+        if reduced and path != root and "images" not in inside:
             found.append(path)
             inside.clear()
         inside[:] = [name for name in inside if not name.startswith(".")]
-    return sorted(found)
+    tests = kept_json(root / "test_index.json", list[str]) or []
+    return sorted(path for path in found if path.relative_to(root).as_posix() not in tests)
 
 
 def packed(root: Path) -> list[Path]:
@@ -177,15 +126,10 @@ def words(**options: object) -> str:
     return shlex.join(f"{key}={text}" if plain.fullmatch(text) else override(key, text) for key, text in pairs)
 
 
-def prepare(kind: str, root: Path) -> str:
-    """The command that prepares a folder."""
-    return shlex.join(["anystyle", "data", "prepare", kind, str(root)])
-
-
 def _scenes(root: Path, min_views: int, decode: bool) -> FolderReport:
-    index = "train_index.json" if (root / "train_index.json").is_file() else None
+    index = INDEX if (root / INDEX).is_file() else None
     names: list[str] = [] if index is None else read_json(root / index, list[str], what="JSON list of folder names")
-    nested = unindexed(root) if index is None else []
+    nested = nested_scenes(root) if index is None else []
     inside = [root, *(path for path in root.iterdir() if path.is_dir()), *(root / name for name in names), *nested]
     images = next((name for name in IMAGE_FOLDERS if any((path / name).is_dir() for path in inside)), "images")
     cameras = IMAGE_FOLDERS[images]
@@ -195,23 +139,23 @@ def _scenes(root: Path, min_views: int, decode: bool) -> FolderReport:
         options["scenes__images"] = images
     if index and source == "folder":
         options["scenes__index"] = index
-    report = FolderReport("scenes", words(**options))
+    report = FolderReport("scenes", words(**options), unlisted=bool(nested))
     report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
-    archives = packed(root)
-    if archives or nested:
-        report.prepare = prepare("dl3dv", root)
-        report.problems += [f"{len(archives)} scenes are packed, such as {archives[0]}"] if archives else []
-        report.problems += [f"{root / 'train_index.json'} is not there"] if nested else []
-    if nested or (archives and not names):
-        folders = nested
-    else:
+    if archives := packed(root):
+        report.problems.append(f"{len(archives)} scenes are packed, such as {archives[0]}")
+    if nested:
+        report.problems.append(f"{root / INDEX} is not there")
+    folders = nested
+    if not nested and (names or not archives):
         folders = FolderScenes(root=str(root), index=index, images=images, cameras=cameras).folders
     for folder in folders:
-        _scene(folder, images, cameras, report, min_views, decode)
+        _scene(root, folder, images, cameras, report, min_views, decode)
     return report
 
 
-def _scene(folder: Path, images: str, cameras: str | None, report: FolderReport, min_views: int, decode: bool) -> None:
+def _scene(
+    root: Path, folder: Path, images: str, cameras: str | None, report: FolderReport, min_views: int, decode: bool
+) -> None:
     inside = folder / images if (folder / images).is_dir() else folder
     paths = image_files(inside)
     good = _look(paths, report, decode)
@@ -232,13 +176,14 @@ def _scene(folder: Path, images: str, cameras: str | None, report: FolderReport,
             f"{folder}: {file.name} names {listing(absent, 5)}: {len(absent)} of {len(listed)} are not in {inside.name}"
         )
     report.posed += len(known) if stored else 0
-    _count(report, str(folder), len(known), min_views)
+    _count(report, folder.relative_to(root).as_posix(), len(known), min_views)
 
 
 def _count(report: FolderReport, scene: str, views: int, min_views: int) -> None:
     report.views[views] += 1
-    report.scenes += views >= min_views
-    if views < min_views:
+    if views >= min_views:
+        report.usable.append(scene)
+    else:
         report.problems.append(f"{scene}: {views} views, fewer than {min_views}")
 
 
@@ -251,7 +196,6 @@ def _re10k(root: Path, min_views: int, decode: bool) -> FolderReport:
         clips = read_json(root / split / "index.json", dict[str, str]).keys() if there else set[str]()
         if lists - clips:
             report.problems.append(f"{split}: {len(lists - clips)} of {len(lists)} camera lists are in no chunk")
-            report.prepare = shlex.join(["anystyle", "data", "prepare", "re10k", str(root)])
         if not there:
             continue
         source = Re10kScenes(root=str(root), split=split)
@@ -265,7 +209,6 @@ def _re10k(root: Path, min_views: int, decode: bool) -> FolderReport:
             good = len(_look(frames, report, decode, [f"{name}: frame {number}" for number in range(len(frames))]))
             report.posed += good
             _count(report, name, good, min_views)
-    report.prepare = "" if report.scenes else report.prepare
     return report
 
 
@@ -273,7 +216,6 @@ def _styles(root: Path, min_views: int, decode: bool) -> FolderReport:
     report = FolderReport("styles", words(styles="folder", styles__root=root))
     captions = captions_file(root)
     if captions is None:
-        report.prepare = prepare("styles", root)
         report.problems.append(f"{root / 'captions.jsonl'} is not there: the pictures have no texts")
     _described(image_files(root), root, captions or root / "captions.jsonl", report, decode)
     return report
@@ -283,14 +225,9 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> FolderReport:
     paths = pictures_below(root)
     report = FolderReport("wikiart", words(styles="wikiart", styles__root=root))
     if not (root / DESCRIPTIONS).is_file():
-        report.problems.append(
-            f"{root / DESCRIPTIONS} is not there: paintings are described by their folders; "
-            "data prepare --archive takes it from the authors' archive"
-        )
-        report.prepare = shlex.join(["anystyle", "data", "caption", str(root), "--trust-remote-code"])
+        report.problems.append(f"{root / DESCRIPTIONS} is not there: paintings are described by their folders")
     if exported(root) and not paths:
         report.problems.append(f"{len(exported(root))} tables of paintings are not unpacked")
-        report.prepare = prepare("wikiart", root)
     present = _described(paths, root, root / DESCRIPTIONS, report, decode)
     tests = root / TEST_FILES
     if tests.is_file():
@@ -333,40 +270,3 @@ def _size(source: Picture, title: str, decode: bool) -> tuple[int, int] | str:
         return image_size(source, title)
     except (UserError, OSError) as error:
         return str(error)
-
-
-SAME = 10
-"""Bits of 256 that two copies of one picture may differ in; unrelated ones differ in about 128."""
-
-
-def fingerprint(path: Path) -> int:
-    """256 bits: whether each of 16 x 16 parts of a picture is darker than its neighbour to the right."""
-    small = open_image(path, longest=256).convert("L").resize((17, 16), Image.Resampling.LANCZOS)
-    grey = np.asarray(small, dtype=np.int16)
-    return int.from_bytes(np.packbits(grey[:, 1:] > grey[:, :-1]).tobytes(), "big")
-
-
-def same_pictures(
-    paths: Sequence[Path], others: Iterable[Path], stage: str = "", on_progress: OnProgress = no_progress
-) -> Mapping[Path, Path]:
-    """For each file that shows the same as one of ``others``, the first such one; unreadable files match nothing."""
-    known = _fingerprints(others)
-    matches: dict[Path, Path] = {}
-    for start in range(0, len(paths), 1000):
-        for path, bits in _fingerprints(paths[start : start + 1000]):
-            match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
-            if match is not None:
-                matches[path] = match
-        on_progress(Progress.count(stage, min(start + 1000, len(paths)), len(paths)))
-    return matches
-
-
-def _fingerprints(paths: Iterable[Path]) -> list[tuple[Path, int]]:
-    def found(path: Path) -> list[tuple[Path, int]]:
-        try:
-            return [(path, fingerprint(path))]
-        except (UserError, OSError):
-            return []
-
-    with ThreadPoolExecutor(4) as pool:
-        return [pair for pairs in pool.map(found, paths) for pair in pairs]

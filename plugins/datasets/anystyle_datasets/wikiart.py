@@ -1,7 +1,7 @@
 """WikiArt: paintings in folders of their movements, with a description each."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Literal
@@ -9,12 +9,11 @@ from typing import Literal
 from PIL import Image
 
 from anystyle.data.captions import read_captions
-from anystyle.data.images import listing, readable
+from anystyle.data.images import SUFFIXES, listing, readable
 from anystyle.data.stored import StoredStyle, StoredStyles
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text
 from anystyle.ranges import AtLeastOne, Count
-from anystyle_datasets.files import pictures_below
 
 logger = logging.getLogger(__name__)
 
@@ -119,6 +118,11 @@ class WikiArtStyles(StoredStyles):
         path = self.paths[style]
         text = self.descriptions.get(path.relative_to(self.root).as_posix()) or path.parent.name.replace("_", " ")
         return StoredStyle(path, text, path.stem)
+
+
+def pictures_below(root: Path, suffixes: Collection[str] = SUFFIXES) -> list[Path]:
+    """The pictures of a folder at any depth, in order."""
+    return sorted(path for path in root.rglob("*") if path.suffix.lower() in suffixes and path.is_file())
 
 
 def read_list(path: Path, option: str = "test_files") -> list[str]:

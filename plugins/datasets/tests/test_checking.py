@@ -1,6 +1,9 @@
 """What `anystyle data check` finds, in folders of each layout with something wrong in each."""
 
 import json
+import shlex
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -13,8 +16,9 @@ from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle.testing.oracle import hashed
-from anystyle_datasets.checking import check, fingerprint, guess, same_pictures
+from anystyle_datasets.checking import check, guess
 from anystyle_datasets.command import Data
+from anystyle_datasets.duplicates import fingerprint, same_pictures
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
 from tests.support.real_data import real
@@ -49,7 +53,7 @@ def dl3dv(tmp_path):
 
 def test_scenes_are_counted_and_what_is_wrong_is_named(dl3dv):
     report = check(dl3dv)
-    assert (report.layout, report.scenes, report.images) == ("scenes", 2, 8)
+    assert (report.layout, report.usable, report.images) == ("scenes", ["1K/good", "1K/torn"], 8)
     assert report.sizes == {(60, 40): 8} and sorted(report.views.elements()) == [1, 3, 4]
     assert report.use == f"scenes=dl3dv scenes.root={dl3dv}"
     found = "\n".join(report.problems)
@@ -57,7 +61,7 @@ def test_scenes_are_counted_and_what_is_wrong_is_named(dl3dv):
         assert words in found
     assert "1 views, fewer" in found
     assert len(report.problems) == 4
-    assert check(dl3dv, decode=False).scenes == 2
+    assert len(check(dl3dv, decode=False).usable) == 2
 
 
 def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):
@@ -72,7 +76,7 @@ def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):
         (dslr / "nerfstudio").mkdir()
         (dslr / "nerfstudio" / "transforms_undistorted.json").write_text(json.dumps(content))
     report = check(tmp_path)
-    assert (report.layout, report.scenes, report.images, report.problems) == ("scenes", 2, 6, [])
+    assert (report.layout, len(report.usable), report.images, report.problems) == ("scenes", 2, 6, [])
     # The words it prints compose to the source of this layout, whatever the experiment takes.
     assert report.use == f"scenes=scannetpp scenes.root={tmp_path}" and report.posed == 6
     words = ["experiment=paper_head", *report.use.split(), "name=x", "out=y"]
@@ -97,14 +101,14 @@ def test_clips_are_counted_by_their_chunks(tmp_path):
     torch.save(clips, tmp_path / "train" / "0.torch")
     (tmp_path / "train" / "index.json").write_text(json.dumps({"a": "0.torch", "b": "0.torch", "c": "1.torch"}))
     report = check(tmp_path)
-    assert (guess(tmp_path), report.scenes, report.images, report.posed) == ("re10k", 1, 4, 4)
+    assert (guess(tmp_path), report.usable, report.images, report.posed) == ("re10k", ["train/a"], 4, 4)
     # The size is that of the stored frames, not of what a training makes of them.
     assert report.sizes == {(48, 27): 4}
     assert len(report.problems) == 2 and "1.torch" in "\n".join(report.problems)
     clips[0]["images"] = [frame, frame[: len(frame) // 2], frame]
     torch.save(clips, tmp_path / "train" / "0.torch")
     report = check(tmp_path)
-    assert (report.scenes, report.images) == (1, 3)
+    assert (len(report.usable), report.images) == (1, 3)
     assert [line for line in report.problems if line.startswith("train/a: frame 1 is a damaged image")]
     words = ["experiment=paper_head", *report.use.split(), "name=x", "out=y"]
     assert build(SceneSource, compose("train", words).scenes).num_views(0) == 3
@@ -130,6 +134,82 @@ def test_a_folder_of_nothing_is_refused(tmp_path):
         check(tmp_path)
     with pytest.raises(UserError, match="Did you mean 'check'"):
         Data()(["chekc"])
+
+
+def test_scenes_at_any_depth_are_listed_once(tmp_path, capsys):
+    """DL3DV as its archives unpack: the list that ``scenes=dl3dv`` reads is written of the scenes that can be used."""
+    for name, count in (("1K/" + "a" * 64, 4), ("1K/" + "b" * 64, 1), ("2K/" + "c" * 64, 3)):
+        for number in range(count):
+            picture(tmp_path / name / "images_8" / f"frame_{number:05d}.png", seed=number)
+    (tmp_path / "2K" / ("d" * 64 + ".zip")).write_bytes(b"an archive")
+    (tmp_path / "test_index.json").write_text(json.dumps(["2K/" + "c" * 64]))
+
+    def say(*words):
+        Data()(["check", str(tmp_path), *words])
+        return capsys.readouterr().out
+
+    told = say()
+    for words in ("1 that can be used, of 2", "train_index.json is not there", "1 scenes are packed, such as"):
+        assert words in told
+    assert told.endswith(f"next      anystyle data check {tmp_path} --index\n")
+    told = say("--index")
+    assert json.loads((tmp_path / "train_index.json").read_text()) == ["1K/" + "a" * 64]
+    assert f"next      anystyle train experiment=paper_head scenes=dl3dv scenes.root={tmp_path}\n" in told
+    assert "1 that can be used, of 1" in say()
+    with pytest.raises(UserError, match=r"train_index.json is there already; delete it"):
+        Data()(["check", str(tmp_path), "--index"])
+
+
+def test_what_is_still_to_be_unpacked_is_named(tmp_path, capsys):
+    archive = tmp_path / "DL3DV" / "1K" / ("a" * 64 + ".zip")
+    for path in (
+        archive,
+        tmp_path / "wikiart" / "data" / "train-00000.parquet",
+        tmp_path / "re10k" / "train" / "a.txt",
+    ):
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"packed")
+    for name, words in {
+        "DL3DV": f"1 scenes are packed, such as {archive}",
+        "wikiart": "1 tables of paintings are not unpacked",
+        "re10k": "train: 1 of 1 camera lists are in no chunk",
+    }.items():
+        with pytest.raises(UserError, match="holds nothing that can be used"):
+            Data()(["check", str(tmp_path / name)])
+        assert words in capsys.readouterr().out
+
+
+def test_options_that_do_not_fit_are_refused(tmp_path):
+    picture(tmp_path / "styles" / "a.png")
+    with pytest.raises(UserError, match="--write FILE needs --against FOLDER"):
+        Data()(["check", str(tmp_path / "styles"), "--write", "list.txt"])
+    with pytest.raises(UserError, match="--index is for scenes as DL3DV lays them out"):
+        Data()(["check", str(tmp_path / "styles"), "--index"])
+
+
+SMALL = (
+    "model=tiny weights.branch=null trainer=cpu loss.content.network=texture loss.style.network=texture "
+    "loss.clip_directional.size=96 loss.clip_patch.size=96 loss.clip_patch.crops=2 training.heights=[112,112] "
+    "training.width=112 training.images=4 training.context_views=[2,2] training.spread=any workers=0 "
+    "trainer.max_steps=2 name=mini resume=never"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recipe", ["", "recipe=paper", "recipe=published"])
+def test_the_words_that_check_prints_train(tmp_path, capsys, recipe):
+    for number in range(7):
+        picture(tmp_path / "scenes" / "1K" / "scene" / "images_8" / f"{number}.png", seed=number, size=(64, 48))
+    for number, name in enumerate(("Cubism/a.jpg", "Ukiyo_e/b.jpg")):
+        picture(tmp_path / "wikiart" / name, seed=number)
+    printed = []
+    for words in ([str(tmp_path / "scenes"), "--index"], [str(tmp_path / "wikiart")]):
+        Data()(["check", *words])
+        printed.append(shlex.split(capsys.readouterr().out.splitlines()[-1])[2:])
+    scenes, styles = printed
+    command = [sys.executable, "-m", "anystyle", *scenes, *styles[2:], *SMALL.split(), *recipe.split()]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    assert done.returncode == 0 and "2 steps done" in done.stdout, done.stderr[-1500:]
 
 
 def test_a_style_list_that_overlaps_the_test_list_is_refused(tmp_path):

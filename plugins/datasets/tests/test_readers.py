@@ -58,9 +58,10 @@ def test_re10k_chunks(tmp_path):
     for scene, told in ((1, "not there"), (2, "outside")):
         with pytest.raises(ValueError, match=told):
             scenes.num_views(scene)
-    (folder / "000001.torch").write_bytes(b"nonsense")
-    with pytest.raises(ValueError, match="chunk of clips"):
-        scenes.num_views(1)
+    for content in (b"nonsense", b"\x80\x02cos\nsystem\nX\x01\x00\x00\x00x\x85R."):  # a pickle that would run a program
+        (folder / "000001.torch").write_bytes(content)
+        with pytest.raises(ValueError, match="chunk of clips"):
+            scenes.num_views(1)
     with pytest.raises(ValueError, match="no JSON object from clips"):
         Re10kScenes(root=str(tmp_path), split="test")
 

@@ -11,14 +11,15 @@ from pathlib import Path
 from anystyle.cli.arguments import new_parser, split
 from anystyle.contracts import Command
 from anystyle.errors import MissingExtra, UserError
+from anystyle.pipeline.encode import encode
 from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.inputs import SavedScene, inputs_of
 from anystyle.pipeline.load import load_model
-from anystyle.pipeline.read import check_inputs, is_saved
+from anystyle.pipeline.read import read
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.stylize import encode_inputs
 from anystyle.registry.compose import only_options
 from anystyle.vision.weights import license_lines, licenses
 from anystyle_viewer.session import CACHE_SIZE, Session
@@ -39,14 +40,14 @@ def parser() -> argparse.ArgumentParser:
 
 def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -> Session:
     """Encode photographs, or a saved scene by its renders, ready for styles."""
-    request = Request(inputs=(str(path),), overrides=tuple(words))
-    check_inputs(request.inputs, request.poses)
+    request = Request(inputs_of(path), overrides=tuple(words))
+    request.check_inputs()
     stages = Stages(lambda stage, progress: print(f"{stage} {progress.line} …", file=sys.stderr, flush=True))
     with stages("load", "the model"):
         model = load_model(request)
-    encoded = encode_inputs(request, model, stages)
+    encoded = encode(read(request, model, stages), model.stylizer, request.views, stages)
     styles, pictures, notes = {}, {}, [*license_lines(licenses(model.weights)), *encoded.notes]
-    if is_saved(path) and path.is_dir():
+    if isinstance(request.inputs, SavedScene) and path.is_dir():
         saved = read_saved(path)
         styles = {title: scene for title, scene in saved.styles if title != UNSTYLED}
         notes, pictures = list(dict.fromkeys((*saved.notes, *notes))), saved.pictures
@@ -63,8 +64,8 @@ class View(Command):
             raise UserError("name what to look at, such as a folder of results: anystyle view out/")
         if arguments.html is not None:
             _write_page(arguments, overrides)
-            return
-        _serve_scene(arguments, overrides)
+        else:
+            _serve_scene(arguments, overrides)
 
 
 def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:

@@ -15,10 +15,12 @@ from anystyle.io.atomic import write_json
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls, applied, blended
+from anystyle.pipeline.inputs import inputs_of
 from anystyle.pipeline.masks import parsed
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
+from anystyle.pipeline.words import args_of
 from anystyle.types import Gaussians, Progress
 from anystyle_viewer.server import title_of
 
@@ -137,7 +139,7 @@ class Session:
         controls = request.controls if request.style else Controls(0.0, request.preserve_color)
         name = "_".join(slug(style if isinstance(style, str) else style.stem) for style in given) or "unstyled"
         mixed = (Mixture(given[0], given[1], request.amount),) if request.second else given or ("none",)
-        args = Request((inputs,), mixed, (controls,), tuple(words)).args()
+        args = args_of(Request(inputs_of(inputs), mixed, (controls,), tuple(words)))
         return join(["anystyle", "stylize", *args, "--out", f"styled-{name}"])
 
     def image_file(self, style: str) -> Path | None:

@@ -118,14 +118,12 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         gui = self.viser.gui
         self._point: Vector | None = None
         with gui.add_folder("Place", expand_by_default=False, order=1.5):
-            gui.add_markdown("Shift-click the scene: the style stays on what looks alike there.")
+            gui.add_markdown("Shift-click the scene: the style stays near that place.")
             self.reach = gui.add_slider("Reach", 0.05, 2.0, 0.05, 0.3, hint="1 is how far the scene is from the camera")
-            self.tolerance = gui.add_slider("Tolerance", 0.05, 1.0, 0.05, 0.2, hint="Of colours; 1 takes all of them")
             everywhere = gui.add_button("Everywhere")
 
         everywhere.on_click(lambda _: self._pick(None))
-        for control in (self.reach, self.tolerance):
-            control.on_update(lambda event: event.client and self.request(self.session.wanted.style))
+        self.reach.on_update(lambda event: event.client and self.request(self.session.wanted.style))
         self.viser.scene.on_click(modifier="shift")(
             lambda event: self._pick(surface_point(self.unstyled, event.ray_origin, event.ray_direction))
         )
@@ -139,8 +137,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         if self._point is None:
             return ""
         reach = self.reach.value * self.path.distance
-        numbers = (*self._point, reach, self.tolerance.value)
-        return f"like:{','.join(f'{number:.4g}' for number in numbers)},soft={reach / 4:.4g}"
+        numbers = (*self._point, reach)
+        return f"sphere:{','.join(f'{number:.4g}' for number in numbers)},soft={reach / 4:.4g}"
 
     def _add_path_controls(self) -> None:
         gui = self.viser.gui

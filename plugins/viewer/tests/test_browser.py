@@ -202,19 +202,22 @@ def test_before_and_after_part_at_the_line_and_follow_the_camera(viewer, page, t
     wait(page, "document.getElementById('anystyle-line').hidden")
 
 
-def test_a_shift_click_keeps_the_style_to_what_looks_alike_there(viewer, page, tmp_path):
+def test_a_shift_click_keeps_the_style_near_that_place(viewer, page, tmp_path):
     paint(page, "blue waves")
     styled, unstyled = viewer.session.gaussians, viewer.session.restyler.unstyled
     width, height = page.evaluate("[innerWidth, innerHeight]")
     x, y = width / 2 + height * FOCAL / SIZE[0] * 0.5 / 3, height / 2 - height * FOCAL / SIZE[0] * 0.4 / 3
-    viewer.reach.value = 2.0
+    viewer.reach.value = 0.2
     page.keyboard.down("Shift")
     page.mouse.click(x, y)
     page.keyboard.up("Shift")
     until(lambda: viewer.session.current.place)
-    red = unstyled.harmonics[0, :, 0, 0] > unstyled.harmonics[0, :, 0, 1]
-    assert torch.equal(viewer.session.gaussians.harmonics[0, red], styled.harmonics[0, red])
-    assert torch.equal(viewer.session.gaussians.harmonics[0, ~red], unstyled.harmonics[0, ~red])
+    mask = viewer.session.current.controls.mask
+    distance = (unstyled.means[0] - torch.tensor(mask.center)).norm(dim=1)
+    inside, outside = distance <= mask.radius - mask.soft / 2, distance >= mask.radius + mask.soft / 2
+    assert bool(inside.any()) and bool(outside.any())
+    assert torch.equal(viewer.session.gaussians.harmonics[0, inside], styled.harmonics[0, inside])
+    assert torch.equal(viewer.session.gaussians.harmonics[0, outside], unstyled.harmonics[0, outside])
     until(lambda: viewer._shown == viewer.session.current)
     compared(page.view, expected(viewer.session.gaussians), tmp_path / "place.png")
     expand(page, "Place", "Everywhere")

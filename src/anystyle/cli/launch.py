@@ -133,13 +133,6 @@ def job_folder(out: str) -> Path:
     return Path(HydraConfig.get().runtime.output_dir)
 
 
-def checked_seed(seed: object) -> int:
-    """The configured seed."""
-    if not isinstance(seed, int) or not 0 <= seed < 1 << 63:
-        raise UserError(f"seed={seed}; give an integer of at least 0")
-    return seed
-
-
 @contextmanager
 def _for_hydra(words: Sequence[str]) -> Iterator[None]:
     """Hydra reads the process's arguments, and raises instead of printing an error and leaving with status 1.

@@ -9,9 +9,9 @@ from omegaconf import DictConfig
 from anystyle.cli.launch import describe, job_folder, launch
 from anystyle.cli.run import run, show, words_of
 from anystyle.io.sheet import to_pil
-from anystyle.pipeline.request import Request, parsed, parser
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import stylize
+from anystyle.pipeline.words import parsed, parser, request_of
 from anystyle.registry.catalog import catalog
 from anystyle.registry.jobs import job_overrides
 from anystyle.types import Progress
@@ -31,7 +31,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Stylize as one composed configuration says, and print where the results are."""
-    request = Request.of(arguments, job_overrides(), config)
+    request = request_of(arguments, job_overrides(), config)
     target = job_folder(arguments.out)
     thumbnail = target.with_name(f"{target.name}.progress.png")
 

@@ -2,7 +2,7 @@
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar, final
 
 from jaxtyping import Float
@@ -99,6 +99,10 @@ class Published(ABC):
     """
 
     @abstractmethod
+    def names(self, keys: Iterable[str]) -> dict[str, str]:
+        """For each key of the backbone's state dict, what its publishers call the tensor, without their prefixes."""
+
+    @abstractmethod
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         """What the checkpoint fixes of a configuration, as far as its shapes show it.
 
@@ -136,6 +140,8 @@ class Backbone(Pluggable, nn.Module, ABC):
     adapter: Adapter
     patch_size: int
     resolution: int
+    trusted_cameras: bool = True
+    """Whether the cameras that it predicts are good enough to make a scene with; a small network's are not."""
     frozen: bool = False
     sources: tuple[Source, ...] = ()
     """The published weights that the constructor filled it with, where it does."""

@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from anystyle.cli.launch import checked_seed
 from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.errors import MissingExtra, UserError
@@ -22,6 +21,7 @@ from anystyle.io.documents import read_json
 from anystyle.io.record import commit, machine, versions
 from anystyle.io.run_folder import RECORD, refuse_changes
 from anystyle.paths import expanded, natural
+from anystyle.ranges import checked_seed
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override

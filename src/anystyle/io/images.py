@@ -26,7 +26,7 @@ Picture = Path | bytes
 
 def check_pillow() -> None:
     """Refuse a process in which pycolmap was imported first: its zlib then serves Pillow, and ends the process."""
-    order = [name for name in sys.modules if name in ("pycolmap._core", "PIL._imaging")]
+    order = [name for name in tuple(sys.modules) if name in ("pycolmap._core", "PIL._imaging")]
     if sys.platform == "linux" and order[0] == "pycolmap._core":
         told = "pycolmap was imported before Pillow, and would end the process at the first PNG file that is written"
         raise UserError(f"{told}; write `import PIL.Image` above `import pycolmap`")

@@ -20,12 +20,12 @@ from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity, similarity_of_cameras
 from anystyle.io import limits
 from anystyle.io.splats import NEAR, Offset
-from anystyle.methods.colors import colors_alone, kept_render
+from anystyle.methods.colors import KEPT, colors_alone, kept_render
 from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.provenance import Entry
 from anystyle.pipeline.read import ReadViews
-from anystyle.pipeline.saved import CHOSEN
+from anystyle.pipeline.splats import ReadSplat, scene_of_splat
 from anystyle.pipeline.stages import Stages
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
@@ -34,6 +34,8 @@ from anystyle.types.shapes import ShapeError, check_value
 
 RENDER_CHUNK = 4
 """Views rendered together."""
+BYTES, BYTES_A_PIXEL = 800, 250
+"""Memory that restyling takes: of each Gaussian of degree 3, and of each pixel of the views, with renderer=cpu."""
 PLENTY = 16 * 2**10
 """Bytes per pixel, seven times what the published network takes; where these are free, memory is not estimated."""
 
@@ -93,6 +95,7 @@ class EncodedCapture:
         targets: Names and cameras of further views to render, in the capture's frame.
         scene_from_known: From the frame of stored or estimated cameras to the capture's, where they differ.
         splat: The file of the scene, where Gaussians were given.
+        photographed: Whether views are photographs, or those that given Gaussians are known to be of.
         notes: Lines of the file of given Gaussians, such as licences.
         made_of: The photographs, or the file of given Gaussians.
         offset: What was taken off the positions of given Gaussians.
@@ -106,6 +109,7 @@ class EncodedCapture:
     targets: tuple[tuple[str, ...], Cameras] | None = None
     scene_from_known: Similarity | None = None
     splat: Path | None = None
+    photographed: bool = True
     notes: tuple[str, ...] = ()
     made_of: tuple[Entry, ...] = ()
     offset: Offset = NEAR
@@ -114,11 +118,6 @@ class EncodedCapture:
     def cameras(self) -> Cameras:
         """The cameras of the input views, in the capture's frame."""
         return cameras_of(self.groups)
-
-    @property
-    def photographed(self) -> bool:
-        """Whether views are photographs, or those that given Gaussians are known to be of."""
-        return self.reconstruction.get("cameras") != CHOSEN
 
     @property
     def names(self) -> list[str]:
@@ -141,8 +140,10 @@ class EncodedCapture:
             yield from known if len(known) == len(kept) else self.stylizer.render(gaussians, chunk).color[0].cpu()
 
 
-def encode(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: Stages) -> EncodedCapture:
-    """Make a scene of views."""
+def encode(given: ReadViews | ReadSplat, stylizer: Stylizer, options: ViewOptions, stages: Stages) -> EncodedCapture:
+    """Make a scene of what was read."""
+    if isinstance(given, ReadSplat):
+        return _encode_splat(given, stylizer, stages)
     start = time.perf_counter()
     similarity, targets, measures = None, None, {}
     if given.reconstruction.needs_cameras:
@@ -155,8 +156,42 @@ def encode(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: S
         cameras, similarity = given.targets.targets_in_scene(cameras_of(groups))
         targets = tuple(_file_names(given.targets.names)), cameras
     kind = catalog().name_of("reconstruction", type(given.reconstruction))
-    report = scene_report(kind, len(given.sources), start, measures) | dict(given.report)
-    return EncodedCapture(stylizer, given.views, given.sources, groups, report, targets, similarity)
+    report = _report(kind, len(given.sources), start, measures) | dict(given.report)
+    return EncodedCapture(
+        stylizer, given.views, given.sources, groups, report, targets, similarity, made_of=given.made_of
+    )
+
+
+def _encode_splat(given: ReadSplat, stylizer: Stylizer, stages: Stages) -> EncodedCapture:
+    """Given Gaussians with the features of their renders."""
+    start = time.perf_counter()
+    line = require_splat(given.gaussians.means.shape[1], given.cameras, stylizer.device)
+    where = "stored beside it" if given.origin == "stored" else "chosen around the scene"
+    with stages("encode", f"{line}; cameras {where}"):
+        gaussians, cameras = given.gaussians.to(stylizer.device), given.cameras.to(stylizer.device)
+        scene = scene_of_splat(gaussians, cameras, stylizer.renderer, encoder(stylizer))
+    return EncodedCapture(
+        stylizer,
+        replace(scene.views, names=tuple(source.name for source in given.sources)).to("cpu"),
+        given.sources,
+        Group.whole(scene),
+        _report("given", len(given.sources), start, {}) | {"cameras": given.origin},
+        splat=given.file,
+        photographed=given.origin == "stored",
+        notes=given.notes,
+        made_of=given.made_of,
+        offset=given.offset,
+    )
+
+
+def require_splat(num_gaussians: int, cameras: Cameras, device: torch.device) -> str:
+    """Refuse a scene that memory does not hold; a line on what it will take."""
+    num_views, (height, width) = cameras.intrinsics.shape[1], cameras.size
+    needed = num_gaussians * BYTES + min(num_views * height * width * BYTES_A_PIXEL, KEPT)
+    what = f"{num_gaussians:,} Gaussians from {num_views} views"
+    if (free := available(device)) is not None:
+        limits.require(needed, what, "give a scene of fewer Gaussians, or fewer views with splat.cameras", free)
+    return f"{what} take about {needed / 2**30:.2g} GiB"
 
 
 def encoder(stylizer: Stylizer) -> Callable[[Views], Scene]:
@@ -230,7 +265,7 @@ def _fitted(given: ReadViews, stylizer: Stylizer, stages: Stages) -> tuple[tuple
     return Group.whole(scene), measures
 
 
-def scene_report(kind: str, num_views: int, start: float, measures: Mapping[str, float]) -> dict[str, object]:
+def _report(kind: str, num_views: int, start: float, measures: Mapping[str, float]) -> dict[str, object]:
     """How a scene was made since ``start``, for ``report.json``."""
     rounded = {name: int(value) if value == int(value) else round(value, 4) for name, value in measures.items()}
     return {"kind": kind, "registered": num_views, "seconds": round(time.perf_counter() - start, 2), **rounded}

@@ -27,16 +27,15 @@ from anystyle.contracts import (
 from anystyle.errors import UserError, did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.io.limits import require
-from anystyle.methods.branch import Branch
 from anystyle.paths import expanded
-from anystyle.pipeline.options import BranchOptions, ViewOptions
+from anystyle.pipeline.options import BranchOptions
 from anystyle.pipeline.request import Request
 from anystyle.registry.build import build, build_all, choice
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import runtime_arguments
 from anystyle.stylizer import Stylizer
-from anystyle.types import Site, Views, matching_sites
+from anystyle.types import Site, matching_sites
 from anystyle.vision import weights
 
 _log = logging.getLogger(__name__)
@@ -229,24 +228,11 @@ def load_model(
     if stylizer is None:
         stylizer, loaded = assemble_frozen(config)
         stylizer = stylizer.to(default_device())
-        known = weights.files().get(str(config.weights.backbone))
-        poses = "auto" if known is not None and known.bundled else "predicted"  # a small network predicts them badly
-        method = method or make_method(config, stylizer.style_encoder)
-    elif method is None:  # a stylizer stylizes in its single pass unless another method is named
-        named = any(word.startswith("method") for word in request.overrides)
-        method = make_method(config, stylizer.style_encoder) if named else Branch()
+        poses = "predicted" if stylizer.backbone.trusted_cameras else "auto"
+    method = method or make_method(config, stylizer.style_encoder)
     if reconstruction is None and config.get("reconstruction") is not None:
         reconstruction = build(Reconstruction, config.reconstruction)
     return LoadedModel(stylizer, method, reconstruction, poses, loaded, all_named)
-
-
-def first_views(config: DictConfig, views: ViewOptions) -> Views:
-    """The first views of the configured scene."""
-    source = make_scenes(config)
-    if not 0 <= config.scene < len(source):
-        raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
-    number = min(source.num_views(config.scene), views.take or Reconstruction.max_views)
-    return source.read(config.scene, range(number))
 
 
 def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:

@@ -1,10 +1,8 @@
-"""Where style enters: masks of photographs, or a box, a sphere or a region of similar colour in the scene."""
+"""Where style enters: masks of photographs, or a box or a sphere in the scene."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from itertools import islice
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -24,21 +22,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Shape(Mask):
-    """A mask of numbers alone: its kind, and how many of them each field but ``soft`` holds."""
-
-    kind: ClassVar[str]
-    sizes: ClassVar[tuple[int, ...]]
-
-    @property
-    def text(self) -> str:
-        *parts, soft = (getattr(self, item.name) for item in fields(self))
-        numbers = [number for part in parts for number in (part if isinstance(part, tuple) else (part,))]
-        return f"{self.kind}:{','.join(map(repr, numbers))}" + (f",soft={soft!r}" if soft else "")
-
-
-@dataclass(frozen=True)
-class Sphere(Shape):
+class Sphere(Mask):
     """Style inside a sphere.
 
     Args:
@@ -46,8 +30,6 @@ class Sphere(Shape):
         radius: Above 0.
         soft: Width of the edge, half of it on either side.
     """
-
-    kind, sizes = "sphere", (3, 1)
 
     center: Vector
     radius: float
@@ -57,6 +39,10 @@ class Sphere(Shape):
         if not self.radius > 0 or not self.soft >= 0:
             raise UserError(f"a sphere of radius {self.radius} with an edge of {self.soft}; expected > 0 and >= 0")
 
+    @property
+    def text(self) -> str:
+        return _text("sphere", (*self.center, self.radius), self.soft)
+
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 inside."""
         distance = (gaussians.means - gaussians.means.new_tensor(self.center)).norm(dim=-1) - self.radius
@@ -64,7 +50,7 @@ class Sphere(Shape):
 
 
 @dataclass(frozen=True)
-class Box(Shape):
+class Box(Mask):
     """Style inside a box along the axes.
 
     Args:
@@ -72,8 +58,6 @@ class Box(Shape):
         high: The opposite one, larger in every coordinate.
         soft: Width of the edge, half of it on either side.
     """
-
-    kind, sizes = "box", (3, 3)
 
     low: Vector
     high: Vector
@@ -83,6 +67,10 @@ class Box(Shape):
         if not all(low < high for low, high in zip(self.low, self.high, strict=True)) or not self.soft >= 0:
             raise UserError(f"a box from {self.low} to {self.high} with an edge of {self.soft} has no inside")
 
+    @property
+    def text(self) -> str:
+        return _text("box", (*self.low, *self.high), self.soft)
+
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 inside."""
         low, high = (gaussians.means.new_tensor(corner) for corner in (self.low, self.high))
@@ -91,35 +79,7 @@ class Box(Shape):
 
 
 @dataclass(frozen=True)
-class Alike(Shape):
-    """Style on what has the colour of a point and lies near it.
-
-    Args:
-        point: On a surface, in the units and OpenCV axes of ``scene.safetensors``.
-        radius: How far from it, above 0.
-        tolerance: How far in sRGB from the mean colour of the 16 Gaussians nearest to it, with an edge as wide.
-        soft: Width of the edge at the radius, half of it on either side.
-    """
-
-    kind, sizes = "like", (3, 1, 1)
-
-    point: Vector
-    radius: float
-    tolerance: float
-    soft: float = 0.0
-
-    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
-        """1 on what is near and alike."""
-        near = Sphere(self.point, self.radius, self.soft).weights(gaussians, seen)
-        colors = rgb_from_constant(gaussians.harmonics[:, :, 0])
-        distance = (gaussians.means - gaussians.means.new_tensor(self.point)).norm(dim=-1)
-        nearest = distance.topk(min(16, distance.shape[1]), largest=False).indices
-        color = colors.take_along_dim(nearest[..., None], dim=1).mean(1, keepdim=True)
-        return near * inside((colors - color).norm(dim=-1) - self.tolerance, self.tolerance)
-
-
-@dataclass(frozen=True)
-class Photographs(Mask):
+class MaskFolder(Mask):
     """Style where masks of the photographs are white: a Gaussian has the mean of the pixels that show it.
 
     Args:
@@ -170,30 +130,31 @@ def inside(distance: Float[Tensor, "*batch"], soft: float) -> Float[Tensor, "*ba
     return way * way * (3 - 2 * way)
 
 
-SHAPES = "sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z or like:X,Y,Z,RADIUS,TOLERANCE"
+SHAPES = "sphere:X,Y,Z,RADIUS or box:X,Y,Z,X,Y,Z"
 
 
 def parsed(word: str) -> Mask:
     """A mask in words: a folder or one of :data:`SHAPES`; ``,soft=WIDTH`` at its end."""
     word, _, soft = word.partition(",soft=")
-    kind, colon, rest = word.partition(":")
-    shape = next((cls for cls in (Sphere, Box, Alike) if colon and cls.kind == kind), None)
+    kind, _, rest = word.partition(":")
+    if kind not in ("sphere", "box") and not Path(word).is_dir():
+        raise UserError(f"the mask {word!r} is neither a folder nor {SHAPES}")
+    reason = ""
     try:
         options = {"soft": float(soft)} if soft else {}
-        if shape is not None:
-            numbers = [float(number) for number in rest.split(",")]
-            values = iter(numbers)
-            parts: list[Any] = [tuple(islice(values, size)) if size > 1 else next(values, None) for size in shape.sizes]
-            if len(numbers) == sum(shape.sizes):
-                return shape(*parts, **options)
+        if kind not in ("sphere", "box"):
+            return MaskFolder(Path(word), **options)
+        match kind, [float(number) for number in rest.split(",")]:
+            case "sphere", [x, y, z, radius]:
+                return Sphere((x, y, z), radius, **options)
+            case "box", [left, top, front, right, bottom, back]:
+                return Box((left, top, front), (right, bottom, back), **options)
     except ValueError as error:
         reason = f" ({error})" if isinstance(error, UserError) else ""
-    else:
-        reason = ""
-        if shape is None and Path(word).is_dir():
-            return Photographs(Path(word), **options)
-        if shape is None:
-            raise UserError(f"the mask {word!r} is neither a folder nor {SHAPES}")
     raise UserError(
         f"the mask {word!r} is not valid{reason}; give a folder, {SHAPES}, with ,soft=WIDTH for a soft edge"
     )
+
+
+def _text(kind: str, numbers: Sequence[float], soft: float) -> str:
+    return f"{kind}:{','.join(map(repr, numbers))}" + (f",soft={soft!r}" if soft else "")

@@ -6,18 +6,22 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from jaxtyping import Float
+from omegaconf import DictConfig
 from torch import Tensor
 
 from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
 from anystyle.data.folder import covering, files_of, read_originals, read_views
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
-from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
 from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
+from anystyle.pipeline.inputs import Given, Photographs, SavedScene
+from anystyle.pipeline.load import LoadedModel, make_scenes
 from anystyle.pipeline.options import PoseOptions, ViewOptions
-from anystyle.pipeline.saved import OWN
+from anystyle.pipeline.provenance import Entry, photographs
+from anystyle.pipeline.request import Request
+from anystyle.pipeline.splats import ReadSplat, read_splat
 from anystyle.pipeline.stages import Stages
 from anystyle.reconstructions import Feedforward
 from anystyle.registry.build import build
@@ -25,9 +29,6 @@ from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, SourceImage, Views
 
 _log = logging.getLogger(__name__)
-
-Inputs = str | Path | Sequence[str | Path] | Views
-"""A folder, files, a pattern or a video; or views of one scene."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class ReadViews:
         points: For each view, sparse points in the cameras' world that it shows, where some are known.
         targets: Stored cameras that the scene is to be rendered from as well.
         report: The entries of ``report.json`` on the cameras.
+        made_of: The photographs and films, for the report.
     """
 
     views: Views
@@ -51,60 +53,66 @@ class ReadViews:
     points: Sequence[Float[Tensor, "_ 3"]] | None = None
     targets: KnownCameras | None = None
     report: Mapping[str, object] = field(default_factory=dict)
+    made_of: tuple[Entry, ...] = ()
 
 
-def is_saved(path: Path) -> bool:
-    """Whether this is a file or folder of Gaussians, or a folder that ``anystyle stylize`` wrote, and no capture."""
-    if path.is_dir() and (path / "report.json").is_file() and any(path.glob("*.safetensors")):
-        return True
-    return scene_format(path) is not None or (path.suffix.lower() == OWN and not path.is_dir())
+def read(request: Request, model: LoadedModel, stages: Stages) -> ReadViews | ReadSplat:
+    """Read the inputs of a request, with cameras where they are known or can be estimated.
+
+    Where the model names no reconstruction, the plugin that estimates cameras chooses it if it succeeds; elsewhere it
+    is the backbone's single pass.
+    """
+    backbone, options, inputs = model.stylizer.backbone, request.views, request.inputs
+    poses = PoseOptions(request.poses.use or model.poses, request.poses.folder)
+    if options.masks is not None and not isinstance(inputs, Photographs):
+        given = inputs.path if isinstance(inputs, SavedScene) else "views"
+        raise UserError(f"views.masks={options.masks}: masks belong to photographs, and the input is {given}")
+    match inputs:
+        case SavedScene(path):
+            return read_splat(path, model.stylizer, options, request.splat, stages)
+        case Photographs(paths):
+            return _photographs(paths, backbone, options, poses, model.reconstruction, stages)
+        case Given(views):
+            return _in_memory(views, backbone, poses, model.reconstruction)
+        case None:
+            views = first_views(request.config, options)
+            return _in_memory(views, backbone, poses, model.reconstruction)
 
 
-def saved_path(inputs: object) -> Path | None:
-    """The file or folder, where the inputs are one saved scene."""
-    given = list(inputs) if isinstance(inputs, (list, tuple)) else [inputs]
-    single = given[0] if len(given) == 1 else None
-    return Path(single) if isinstance(single, (str, Path)) and is_saved(Path(single)) else None
+def first_views(config: DictConfig, options: ViewOptions) -> Views:
+    """The first views of the configured scene."""
+    source = make_scenes(config)
+    if not 0 <= config.scene < len(source):
+        raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
+    number = min(source.num_views(config.scene), options.take or Reconstruction.max_views)
+    return source.read(config.scene, range(number))
 
 
-def check_inputs(inputs: Inputs, poses: PoseOptions) -> None:
-    """Refuse inputs that are not there, which takes no time, before networks are loaded, which takes long."""
-    saved = saved_path(inputs)
-    if saved is not None and not saved.exists():
-        raise UserError(f"there is no file {saved}; name photographs, a video, a file of Gaussians or a saved folder")
-    if saved is None and not isinstance(inputs, Views):
-        files = [file for path in paths_of(inputs) for file in files_of(path)]
-        if not files:
-            raise UserError("no photographs are given; name a folder, files or a video")
-    if poses.folder is not None and not Path(poses.folder).exists():
-        raise UserError(f"poses_from={poses.folder} does not exist; name the folder or file that holds the cameras")
+def _in_memory(
+    views: Views, backbone: Backbone, poses: PoseOptions, reconstruction: Reconstruction | None
+) -> ReadViews:
+    if any(side % backbone.patch_size for side in views.size):
+        wrong = f"the scene's images are {views.size}"
+        raise UserError(f"{wrong}; their sides must be multiples of {backbone.patch_size}")
+    names = [f"view_{index:02d}" for index in range(views.images.shape[1])]
+    sources = tuple(covering(name, views.size, views.size) for name in names)
+    return _with_stored(views, sources, reconstruction or Feedforward(), poses)
 
 
-def read(
-    inputs: Inputs,
+def _photographs(
+    paths: Sequence[Path],
     backbone: Backbone,
     options: ViewOptions,
     poses: PoseOptions,
     reconstruction: Reconstruction | None,
     stages: Stages,
 ) -> ReadViews:
-    """Read the views of a scene, with cameras where they are known or can be estimated.
-
-    Without a ``reconstruction`` the plugin that estimates cameras chooses it where it succeeds; elsewhere it is the
-    backbone's single pass.
-    """
-    if isinstance(inputs, Views):
-        if any(side % backbone.patch_size for side in inputs.size):
-            wrong = f"the scene's images are {inputs.size}"
-            raise UserError(f"{wrong}; their sides must be multiples of {backbone.patch_size}")
-        names = [f"view_{index:02d}" for index in range(inputs.images.shape[1])]
-        own = tuple(covering(name, inputs.size, inputs.size) for name in names)
-        return _with_stored(inputs, own, reconstruction or Feedforward(), poses)
-    paths, masks, given = paths_of(inputs), {}, None
+    masks: Mapping[Path, Path] = {}
     if options.masks is not None:
         masks = find_masks(expanded(options.masks), [path for item in paths for path in files_of(item)])
     estimators, report = catalog().names("pose_estimator"), {}
     estimator = next(iter(estimators), None) if poses.use == "auto" else poses.use
+    given: ReadViews | None = None
     if estimator in estimators:
         estimate = build(PoseEstimator, estimator)
         chosen = reconstruction or build(Reconstruction, estimate.reconstruction)
@@ -134,6 +142,7 @@ def read(
                 max_views=_max_views(paths, options, chosen),
             )
         given = replace(_with_stored(views, tuple(sources), chosen, poses), report=report)
+    given = replace(given, made_of=photographs(paths, given.sources))
     return _masked(given, masks, options, stages)
 
 
@@ -212,8 +221,3 @@ def view_size(backbone: Backbone, options: ViewOptions, reconstruction: Reconstr
     if options.short_side is None and reconstruction.short_side is not None:
         return reconstruction.short_side, False
     return options.short_side or backbone.resolution, True
-
-
-def paths_of(inputs: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Inputs other than views."""
-    return [Path(path) for path in ([inputs] if isinstance(inputs, (str, Path)) else inputs)]

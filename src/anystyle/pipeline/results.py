@@ -1,12 +1,10 @@
 """The last two steps: results of a stylization, restyled one at a time when they are asked for, and their files."""
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
-from itertools import pairwise
 from pathlib import Path
 
 from jaxtyping import Float
@@ -20,7 +18,8 @@ from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.pipeline.encode import EncodedCapture
-from anystyle.pipeline.export import export_styles, film
+from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.film import Film
 from anystyle.pipeline.load import LoadedModel
 from anystyle.pipeline.provenance import Entry, without_folders
 from anystyle.pipeline.request import Request
@@ -28,6 +27,7 @@ from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, write_colmap
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
+from anystyle.pipeline.words import digest, recorded
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, Renders, SourceImage, StyledScene
 from anystyle.vision.weights import license_lines, licenses
@@ -134,7 +134,7 @@ class Result:
             self._write_renders(folder / "targets", names, followed)
         seen = encoded.photographed and encoded.targets is None
         film = StyledScene(((self.style.title, gaussians),), followed, tuple(names), photographed=seen)
-        results.video.write(film, folder / "video.mp4")
+        results.video.write(film, folder / "video.mp4", results.render_until_given_up)
         cameras, sources = encoded.cameras.to("cpu"), encoded.sources
         write_cameras(folder / "cameras.json", cameras, sources, encoded.offset, encoded.scene_from_known)
         if options.colmap != "none":
@@ -180,10 +180,10 @@ class Results:
             "weights": model.weights,
             "seed": request.seed,
             "config": without_folders(request.config),
-            "request": recorded_args(request) if model.named else None,
-            "request_sha256": request.digest if model.named else None,
+            "request": recorded(request) if model.named else None,
+            "request_sha256": digest(request) if model.named else None,
         }
-        self.video = film(request.config.video, self._render_until_given_up)
+        self.video = Film(request.video)
         self.given_up = False
         """Whether a film that is being written in a thread will not be needed."""
         self.failed: list[tuple[Path, str]] = []
@@ -191,7 +191,8 @@ class Results:
         self.bug: Exception | None = None
         """The first of these errors that no format should raise."""
 
-    def _render_until_given_up(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+    def render_until_given_up(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """The render of a film, unless it will not be needed."""
         if self.given_up:
             raise KeyboardInterrupt
         return self.encoded.stylizer.render(gaussians, cameras)
@@ -336,17 +337,3 @@ def _pictures_of(images: Iterable[Float[Tensor, "3 H W"]], sources: Sequence[Sou
 
 def _pictures(styles: Sequence[EmbeddedStyle]) -> dict[str, Image.Image]:
     return {style.title: thumbnails([style.cell])[0] for style in styles if isinstance(style.cell, Image.Image)}
-
-
-def recorded_args(request: Request) -> list[str] | None:
-    """The arguments that make a result again, with the names of absolute paths; ``None`` if something is in memory."""
-    try:
-        args = request.args()
-    except UserError:
-        return None
-    named: list[str] = []
-    for before, word in pairwise(["", *args]):
-        # A text may look like a path; the place after its @ is one.
-        start = "@" if "--text" in (before, word.partition("=")[0]) else "^|=|@"
-        named.append(re.sub(f"({start})/(?:[^@]*/)?(?=[^/@])", r"\1", word))
-    return named

@@ -25,6 +25,7 @@ from anystyle.io.checkpoint import save_tensors
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
+from anystyle.pipeline.inputs import OWN
 from anystyle.ranges import Count
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
@@ -33,10 +34,8 @@ from anystyle.vision import weights
 UNSTYLED = "unstyled"
 PICTURE = "style.jpg"
 """A small picture of the style, where it is an image."""
-CHOSEN = "chosen around the scene"
-"""What a report says of cameras that are not those of photographs."""
-OWN = ".safetensors"
-"""The suffix of what :func:`save_gaussians` writes."""
+CHOSEN = ("chosen", "chosen around the scene")
+"""What a report says of cameras that are not those of photographs, since 0.2 and before."""
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
@@ -231,7 +230,7 @@ def made_at(path: Path) -> int | None:
 
 def _reports_of(path: Path) -> Iterator[SavedReport]:
     """The reports of results in a folder, or of those that a file is part of."""
-    if path.is_dir() and scene_format(path) is None:
+    if path.is_dir():
         folders = [path, *sorted(file.parent for file in path.glob("*/report.json"))]
     else:  # a report beside a stranger's file may be of anything
         ours = any((path.parent / name).is_file() for name in ("scene.safetensors", "unstyled.safetensors"))
@@ -241,7 +240,7 @@ def _reports_of(path: Path) -> Iterator[SavedReport]:
 
 def _photographed(reports: Iterable[SavedReport]) -> bool:
     """Whether no report says that the cameras were chosen."""
-    return all(report.reconstruction.get("cameras") != CHOSEN for report in reports)
+    return all(report.reconstruction.get("cameras") not in CHOSEN for report in reports)
 
 
 def read_gaussians(path: Path) -> Gaussians:

@@ -1,9 +1,9 @@
-"""Stylizing a given 3D Gaussian scene: cameras for it, and its renders as views."""
+"""A scene that is given as Gaussians: reading it, cameras for it, and its renders as views."""
 
-import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from typing import Literal
 
 import numpy as np
 import torch
@@ -15,13 +15,12 @@ from anystyle.data.names import short_names
 from anystyle.data.poses import view_camera
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.io.limits import require
-from anystyle.methods.colors import KEPT, first_render
-from anystyle.pipeline.encode import EncodedCapture, Group, available, encoder, scene_report
+from anystyle.io.splats import Offset
+from anystyle.methods.colors import first_render
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
-from anystyle.pipeline.provenance import entry
-from anystyle.pipeline.saved import CHOSEN, cameras_beside, made_at, read_unturned, saved_cameras, unstyled_of
+from anystyle.pipeline.provenance import Entry, entry
+from anystyle.pipeline.saved import cameras_beside, made_at, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
@@ -34,58 +33,54 @@ DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
-BYTES, BYTES_A_PIXEL = 800, 250
-"""Memory that restyling takes: of each Gaussian of degree 3, and of each pixel of the views, with renderer=cpu."""
+Origin = Literal["stored", "chosen"]
+"""Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 
 
-def encode_saved(
-    path: Path, stylizer: Stylizer, views: ViewOptions, options: SplatOptions, stages: Stages
-) -> EncodedCapture:
-    """Read a saved scene, render it from cameras that are stored with it or chosen, and encode the renders.
+@dataclass(frozen=True)
+class ReadSplat:
+    """Given Gaussians as they were read.
 
-    Of a folder of results in several styles the unstyled scene is taken. Renders have the size that ``views`` say, else
-    that at which results were made.
+    Args:
+        gaussians: A batch of one, in OpenCV's axes.
+        cameras: Where they are seen from.
+        sources: What the images of these cameras are called.
+        origin: Where the cameras come from.
+        file: The file itself, where results can be copies of it with other colours.
+        notes: Lines of the file, such as licences.
+        made_of: The file, for the report.
+        offset: What was taken off the positions.
     """
-    start, patch = time.perf_counter(), stylizer.backbone.patch_size
+
+    gaussians: Gaussians
+    cameras: Cameras
+    sources: tuple[SourceImage, ...]
+    origin: Origin
+    file: Path | None
+    notes: tuple[str, ...]
+    made_of: tuple[Entry, ...]
+    offset: Offset
+
+
+def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: SplatOptions, stages: Stages) -> ReadSplat:
+    """Read a saved scene with cameras that are stored with it or chosen; of several styles the unstyled scene.
+
+    Views have the size that ``views`` say, else that at which results were made.
+    """
     with stages("read", "the Gaussians"):
         given = read_unturned(path, options.up, activated=options.activated)
         saved = in_axes("opencv", given)
-        gaussians = unstyled_of(saved).to(stylizer.device)
         sees_features = stylizer.branch.gaussian_head is not None
         side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
-        cameras, sources, origin = cameras_of(path, saved, views, options, patch, side)
-        line = require_splat(gaussians.means.shape[1], cameras, stylizer.device)
-    with stages("encode", f"{line}; cameras {origin}"):
-        scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.renderer, encoder(stylizer))
-    report = scene_report("given", len(sources), start, {}) | {"cameras": origin}
-    seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
-    original = path if path.is_file() and given.up == "opencv" and not options.activated else None
-    return EncodedCapture(
-        stylizer,
-        seen,
-        sources,
-        Group.whole(scene),
-        report,
-        splat=original,
-        notes=given.notes,
-        made_of=(entry("scene", [path if path.is_file() else path / "report.json"]),),
-        offset=saved.offset,
-    )
-
-
-def require_splat(num_gaussians: int, cameras: Cameras, device: torch.device) -> str:
-    """Refuse a scene that memory does not hold; a line on what it will take."""
-    num_views, (height, width) = cameras.intrinsics.shape[1], cameras.size
-    needed = num_gaussians * BYTES + min(num_views * height * width * BYTES_A_PIXEL, KEPT)
-    what = f"{num_gaussians:,} Gaussians from {num_views} views"
-    if (free := available(device)) is not None:
-        require(needed, what, "give a scene of fewer Gaussians, or fewer views with splat.cameras", free)
-    return f"{what} take about {needed / 2**30:.2g} GiB"
+        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side)
+        made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
+    file = path if path.is_file() and given.up == "opencv" and not options.activated else None
+    return ReadSplat(unstyled_of(saved), cameras, sources, origin, file, given.notes, made_of, saved.offset)
 
 
 def cameras_of(
     path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, side: int
-) -> tuple[Cameras, tuple[SourceImage, ...], str]:
+) -> tuple[Cameras, tuple[SourceImage, ...], Origin]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
     Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. Beside the
@@ -98,7 +93,7 @@ def cameras_of(
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(covering(name, (side, side), (side, side)) for name in names)
-        return around(unstyled_of(saved), options.cameras, side), sources, CHOSEN
+        return around(unstyled_of(saved), options.cameras, side), sources, "chosen"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
     whole = stored[names[chosen[0]]].size
@@ -106,7 +101,7 @@ def cameras_of(
     called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
     sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
-    return Cameras.cat(cameras, dim=1), sources, "stored beside it" if saved.photographed else CHOSEN
+    return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
 
 
 def around(gaussians: Gaussians, number: int, side: int) -> Cameras:

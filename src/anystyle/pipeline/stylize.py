@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,21 +14,22 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory, folder_lock
 from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls
-from anystyle.pipeline.encode import EncodedCapture, encode
-from anystyle.pipeline.load import LoadedModel, first_views, load_model
+from anystyle.pipeline.encode import encode
+from anystyle.pipeline.inputs import GivenInputs
+from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
-from anystyle.pipeline.provenance import photographs
-from anystyle.pipeline.read import Inputs, paths_of, read, saved_path
+from anystyle.pipeline.read import read
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.results import Results
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, embed_styles
+from anystyle.pipeline.words import digest
 from anystyle.stylizer import Stylizer
-from anystyle.types import Style, Views
+from anystyle.types import Style
 
 
 def stylize(
-    inputs: Inputs | Request,
+    inputs: GivenInputs | Request,
     styles: StyleInput | Sequence[StyleInput] = (),
     *,
     model: str | Stylizer | None = None,
@@ -89,7 +89,7 @@ def stylize(
     if isinstance(inputs, Request):
         request = inputs
     else:
-        request = Request.made(
+        request = Request.of(
             inputs,
             [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Named, Places)) else styles,
             [controls] if isinstance(controls, Controls) else controls,
@@ -103,13 +103,13 @@ def stylize(
     stages = stages or Stages()
     request.check()
     torch.manual_seed(request.seed)
-    again = None if in_memory else request.digest
+    again = None if in_memory else digest(request)
     with contextlib.nullcontext() if out is None else _results_folder(Path(out), request, overwrite, again) as folder:
         with stages("load", "the model"):
             loaded = load_model(request, **in_memory)
         with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
             embedded = embed_styles(request.all_styles, loaded.stylizer, request.controls)
-        encoded = encode_inputs(request, loaded, stages)
+        encoded = encode(read(request, loaded, stages), loaded.stylizer, request.views, stages)
         results = Results(encoded, embedded, loaded, request, stages)
         if folder is not None:
             results.write(folder)
@@ -139,22 +139,3 @@ def _results_folder(out: Path, request: Request, overwrite: bool, again: str | N
             )
         yield folder
         check()
-
-
-def encode_inputs(request: Request, model: LoadedModel, stages: Stages) -> EncodedCapture:
-    """Read the inputs of a request and encode them."""
-    inputs, views, stylizer = request.inputs, request.views, model.stylizer
-    saved = saved_path(inputs)
-    if views.masks is not None and (saved is not None or isinstance(inputs, Views)):
-        raise UserError(f"views.masks={views.masks}: masks belong to photographs, and the input is {saved or 'views'}")
-    if saved is not None:
-        from anystyle.pipeline.splats import encode_saved
-
-        return encode_saved(saved, stylizer, views, request.splat, stages)
-    files = [] if isinstance(inputs, Views) else paths_of(inputs)
-    poses = PoseOptions(request.poses.use or model.poses, request.poses.folder)
-    given = inputs if isinstance(inputs, Views) or inputs else first_views(request.config, views)
-    encoded = encode(
-        read(given, stylizer.backbone, views, poses, model.reconstruction, stages), stylizer, views, stages
-    )
-    return replace(encoded, made_of=photographs(files, encoded.sources))

@@ -67,15 +67,10 @@ def load_reference(
 
 def reference_config(state: Mapping[str, Tensor], overrides: Sequence[str] = ()) -> DictConfig:
     """The configuration that a checkpoint in the original layout fits, read off its tensors."""
-    given = {word.partition("=")[0] for word in overrides}
-    keys: dict[str, object] = {"style_encoder": "long_clip", "placement": "head"}
-
-    def composed() -> DictConfig:
-        chosen = [override(key, value) for key, value in keys.items() if key not in given]
-        return compose("stylize", ["~model", *chosen, *overrides])
-
-    keys |= published_by(composed()).config(state)
-    return composed()
+    words = ["~model", "style_encoder=long_clip", "placement=head"]
+    fixed = published_by(compose("stylize", [*words, *overrides])).config(state)
+    # Of two overrides of one key the last counts.
+    return compose("stylize", [*words, *(override(key, value) for key, value in fixed.items()), *overrides])
 
 
 def _state(given: Mapping[str, Tensor] | str | Path) -> Mapping[str, Tensor]:

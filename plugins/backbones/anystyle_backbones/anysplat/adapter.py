@@ -1,8 +1,6 @@
 """From raw attributes to Gaussians: fusion of pixels in voxels, then activations."""
 
 import math
-from collections.abc import Callable
-from functools import partial
 from typing import Literal
 
 import torch
@@ -92,35 +90,16 @@ def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B 
     weight is ``exp(c - max c) / (sum exp(c - max c) + 1e-6)`` over its voxel, and the voxel's mean the weighted sum.
     Differentiable in the points and confidences. Scenes are padded to one count; padding has mean 0 and no points.
     """
-    return clusters_of(points, (points.detach() / voxel_size).round(), partial(_softmax, confidence))
-
-
-def clusters_of(
-    points: Float[Tensor, "B M 3"],
-    cells: Float[Tensor, "B M 3"],
-    shares: Callable[[Int[Tensor, "B M"], int], Float[Tensor, "B M"]],
-) -> Clusters:
-    """Cluster world points by cells of whole numbers, in their lexicographic order.
-
-    ``shares`` gives each point's weight in its cluster from the clusters' numbers and their largest count in a scene.
-    """
     if not bool(points.isfinite().all()):
         raise ValueError("points to fuse are infinite or not a number; the predicted depth or cameras have diverged")
-    cells = cells.long()
+    cells = (points.detach() / voxel_size).round().long()
     index = torch.stack([lexicographic_ranks(scene) for scene in cells])
     counts = index.amax(dim=1) + 1
     size = int(counts.max())
     valid = torch.arange(size, device=points.device) < counts[:, None]
-    weight = shares(index, size)
+    weight = _softmax(confidence, index, size)
     unfused = Clusters(index=index, weight=weight, means=points.new_zeros(len(points), size, 3), valid=valid)
     return Clusters(index=index, weight=weight, means=fuse(points, unfused), valid=valid)
-
-
-def summed(values: Float[Tensor, "B M"], index: Int[Tensor, "B M"], size: int) -> Float[Tensor, "B M"]:
-    """For each point the sum of the values in its cluster, of at most ``size`` a scene."""
-    flat = _flat_index(index, size)
-    total = values.new_zeros(len(values) * size).scatter_add(0, flat, values.flatten())
-    return total[flat].view_as(values)
 
 
 def fuse(values: Float[Tensor, "B M C"], clusters: Clusters) -> Float[Tensor, "B N C"]:

@@ -50,6 +50,8 @@ class AnySplat(contracts.Backbone):
         camera_iterations: Its passes.
         poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching patches with the reference's,
             which a network of a few million parameters can learn (see :class:`anystyle_backbones.aligner.Aligner`).
+        trusted_cameras: Whether these poses are good enough to make a scene with; otherwise the cameras of photographs
+            are estimated where that succeeds.
         focal_epsilon: Added to the tangent of half a field of view where focal lengths are decoded.
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
@@ -102,6 +104,7 @@ class AnySplat(contracts.Backbone):
         camera_heads: int = 16,
         camera_iterations: int = 4,
         poses: Literal["regressed", "aligned"] = "regressed",
+        trusted_cameras: bool = True,
         focal_epsilon: float = 1e-3,
         depth_features: int = 256,
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
@@ -122,7 +125,7 @@ class AnySplat(contracts.Backbone):
     ) -> None:
         super().__init__()
         check_options(dim=dim, heads=heads, taps=taps, first=0, depth=depth, camera_heads=camera_heads)
-        self.patch_size, self.resolution = patch_size, resolution
+        self.patch_size, self.resolution, self.trusted_cameras = patch_size, resolution, trusted_cameras
         block = partial(Block, mlp_ratio=mlp_ratio)
         embedding = (block(dim, heads, layer_scale=1.0, eps=1e-6) for _ in range(embed_depth))
         patches = (

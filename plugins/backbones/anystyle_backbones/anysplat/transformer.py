@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -66,22 +65,14 @@ class Embedder(contracts.Embedder):
 
     The reference view has camera and register tokens of its own; all others share theirs.
 
-    Options are explained at :class:`~anystyle_backbones.anysplat.AnySplat`; ``blank`` tokens of zeros stand behind the
-    registers, as in a network that was trained with inputs that are not given.
+    Options are explained at :class:`~anystyle_backbones.anysplat.AnySplat`.
     """
 
     def __init__(
-        self,
-        dim: int,
-        patches: DinoV2 | Patches,
-        *,
-        registers: int,
-        patch_size: int,
-        reference: Strategy,
-        blank: int = 0,
+        self, dim: int, patches: DinoV2 | Patches, *, registers: int, patch_size: int, reference: Strategy
     ) -> None:
         super().__init__()
-        self.patch_size, self.patches, self.blank = patch_size, patches, blank
+        self.patch_size, self.patches = patch_size, patches
         self.reference: Strategy = reference
         self.camera_token = nn.Parameter(torch.empty(1, 2, 1, dim))
         self.register_token = nn.Parameter(torch.empty(1, 2, registers, dim))
@@ -96,7 +87,6 @@ class Embedder(contracts.Embedder):
         patches = self.patches(pixels.flatten(0, 1)).unflatten(0, (batch, views))
         tokens = Tokens(patches, grid, reference=reference_view(images, patches.mean(2), self.reference))
         special = torch.cat([self.camera_token, self.register_token], dim=2)[0]  # 2 special C
-        special = F.pad(special, (0, 0, 0, self.blank))
         special = special[1 - is_reference(tokens).long()].to(patches.dtype)  # B V special C
         return replace(tokens, data=torch.cat([special, patches], dim=2), special=special.shape[2])
 

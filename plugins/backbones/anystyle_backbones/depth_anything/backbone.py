@@ -49,6 +49,8 @@ class DepthAnything(contracts.Backbone):
         taps: The four layers that the heads read; the last is the trunk's last.
         poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching points with the reference's,
             which a network of a few million parameters can learn (see :class:`anystyle_backbones.aligner.Aligner`).
+        trusted_cameras: Whether these poses are good enough to make a scene with; otherwise the cameras of photographs
+            are estimated where that succeeds.
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
         gaussian_features: Channels of the Gaussian head's decoder.
@@ -91,6 +93,7 @@ class DepthAnything(contracts.Backbone):
         reference: Strategy = "saddle_balanced",
         taps: Sequence[int] = (19, 27, 33, 39),
         poses: Literal["regressed", "aligned"] = "regressed",
+        trusted_cameras: bool = True,
         depth_features: int = 256,
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
         gaussian_features: int = 256,
@@ -110,7 +113,7 @@ class DepthAnything(contracts.Backbone):
         check_options(dim=dim, heads=heads, taps=taps, first=alternate_from, depth=depth)
         if init == "scratch" and gaussian_features < 24:
             raise UserError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
-        self.patch_size, self.resolution = patch_size, resolution
+        self.patch_size, self.resolution, self.trusted_cameras = patch_size, resolution, trusted_cameras
         block = partial(Block, dim, heads, ffn=ffn, mlp_ratio=mlp_ratio, layer_scale=layer_scale, eps=1e-6)
         grid, embedding = native_resolution // patch_size, (block() for _ in range(alternate_from))
         self.embedder = Embedder(dim, embedding, patch_size=patch_size, grid=grid, reference=reference)

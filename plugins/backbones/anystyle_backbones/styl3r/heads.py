@@ -14,7 +14,7 @@ from anystyle import contracts
 from anystyle.contracts import StylePredictor, style_tokens
 from anystyle.types import Attributes, Features, Geometry, Inject, Scene, Site, StyleEmbedding, untouched
 from anystyle_backbones.dpt import Dpt, DptTrunk, DptTrunkOptions, by_views, resized
-from anystyle_backbones.pointmaps import cameras_of, points_of
+from anystyle_backbones.styl3r.pointmaps import cameras_of, points_of
 from anystyle_backbones.styl3r.transformer import ImageEncoder, TokenStylizer, symmetric
 
 Decoding = TypeVar("Decoding", bound=DptTrunk)
@@ -47,9 +47,9 @@ class GeometryHead(contracts.GeometryHead):
     """World points of the pixels, by decoders of the first view and of all others, and cameras that see them.
 
     The world is the frame of the first camera. The network predicts no cameras, and this head is not shown the given
-    ones: :func:`~anystyle_backbones.pointmaps.cameras_of` fits them to the points. Depth is the points' z in their
-    view's camera, and may be negative. Where a photograph is higher than wide, points are in the order of its pixels;
-    the published code has them column by column there, and pairs them with the attributes of other pixels.
+    ones: :func:`~anystyle_backbones.styl3r.pointmaps.cameras_of` fits them to the points. Depth is the points' z in
+    their view's camera, and may be negative. Where a photograph is higher than wide, points are in the order of its
+    pixels; the published code has them column by column there, and pairs them with the attributes of other pixels.
 
     Args:
         first: Decodes the first view.

@@ -18,9 +18,9 @@ from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.types import Attributes, Cameras, Geometry, Renders, Stylization, Tokens
 from anystyle.vision import networks, weights
 from anystyle.vision.preprocess import as_pillow, middle_squares
-from anystyle_backbones.pointmaps import cameras_of, focal_of, points_of
 from anystyle_backbones.styl3r import Styl3r
 from anystyle_backbones.styl3r.losses import Identity
+from anystyle_backbones.styl3r.pointmaps import cameras_of, focal_of, points_of
 from anystyle_backbones.styl3r.transformer import angles_of
 from tests.support import styl3r_reference as reference
 from tests.support.style_cases import filled_vgg_file

@@ -14,6 +14,7 @@ from torch import Tensor
 from anystyle.contracts import Undistortion
 from anystyle.errors import UserError
 from anystyle.io.colmap import Camera
+from anystyle_captures.sfm.colmap import load_pycolmap
 
 MAX_SIDE = 1 << 20
 """Pixels that an image may be wide or high for a camera of it to be believed."""
@@ -99,7 +100,8 @@ class Lens:
 
 def _projected(camera: Camera, rays: Float[Tensor, "*N 2"]) -> Float[Tensor, "*N 2"]:
     try:
-        from anystyle_captures.sfm.colmap import pycolmap
+        load_pycolmap()
+        import pycolmap
     except ImportError:
         raise UserError(
             f"cameras of the model {camera.model} are read with pycolmap: pip install pycolmap, or undistort the "

@@ -1,9 +1,8 @@
 """COLMAP's pipeline: features, verified matches, and the models of its two mappers.
 
-Pillow is imported before pycolmap, whose zlib would otherwise serve Pillow and crash it.
+pycolmap is imported where it is used, behind Pillow: the other way round its zlib would serve Pillow and crash it.
 """
 
-import logging
 import signal
 import tempfile
 import threading
@@ -11,18 +10,16 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from itertools import chain, repeat
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float64
 from PIL import Image
 
-import pycolmap  # isort: skip
-
+from anystyle.errors import MissingExtra
 from anystyle.types import OnProgress, Progress, no_progress
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
-    PREVIEW,
     Photograph,
     SearchOptions,
     SparseModel,
@@ -32,19 +29,32 @@ from anystyle_captures.sfm.model import (
     pairs_to_match,
 )
 
-logger = logging.getLogger(__name__)
-if threading.current_thread() is threading.main_thread():
-    # Importing pycolmap replaces signal handlers to print a native stack; restore Python's own.
-    for _number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(_number, signal.getsignal(_number) or signal.SIG_DFL)
+if TYPE_CHECKING:
+    import pycolmap
+
 DEFAULT_FOCAL = 1.2
 """Initial focal length where nothing is known, in longer sides of the photograph."""
 MAPPING_THREADS = 1
 """The solver's sums depend on it, and cameras must not depend on the machine; mapping is a tenth of the time."""
 CHUNK = 16
 """Pairs between two reports of progress."""
-SECONDS_A_PAIR = 1.5
-"""What LightGlue takes on one core: between 0.5 and 2.5, less for pairs that show the same."""
+
+
+def load_pycolmap() -> None:
+    """Import pycolmap, and restore Python's signal handlers, which it replaces to print a native stack.
+
+    Raises:
+        ImportError: It is not installed.
+    """
+    try:
+        import pycolmap
+    except ImportError as error:
+        needed = "pip install pycolmap (for Linux and Windows on x86-64, macOS on arm64)"
+        raise MissingExtra(f"cameras from photos need pycolmap: {needed}") from error
+    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.getsignal(number) or signal.SIG_DFL)
 
 
 def search(
@@ -88,20 +98,19 @@ def match(
 ) -> ViewGraph:
     """Features and verified matches, written into COLMAP's database ``folder / "database.db"``.
 
-    ``pairs`` are matched; those that are worth it if not given, for which it matters whether they are ``ordered``.
+    ``pairs`` to match are chosen by :func:`~anystyle_captures.sfm.model.pairs_to_match` unless they are given.
     """
-    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
+    load_pycolmap()
+    import pycolmap
+
     sizes = [_search_size(photograph.size, options) for photograph in photographs]
-    path, learned = folder / "database.db", options.features == "aliked"
-    names = _import(folder, photographs, sizes, "RGB" if learned else "L")
-
-    def choose(previews: Sequence[Float[np.ndarray, "_ 128"]]) -> Sequence[tuple[int, int]]:
-        return pairs_to_match(previews, ordered) if pairs is None else pairs
-
-    (_match_aliked if learned else _match_sift)(folder, names, options, choose, threads, on_progress)
+    names = _import_photographs(folder, photographs, sizes)
+    previews = _extract_features(folder, names, options, threads, on_progress)
+    chosen = pairs_to_match(previews, ordered) if pairs is None else pairs
+    _match_pairs(folder, names, chosen, options, threads, on_progress)
 
     verified = []
-    with closing(pycolmap.Database.open(path)) as database:
+    with closing(pycolmap.Database.open(folder / "database.db")) as database:
         ids = _ids(database, names)
         keypoints = [database.read_keypoints(image) for image in ids]
         index = {image: view for view, image in enumerate(ids)}
@@ -115,24 +124,25 @@ def match(
     return ViewGraph([one.name for one in photographs], [len(one) for one in keypoints], sizes, verified)
 
 
-def _import(
-    folder: Path, photographs: Sequence[Photograph], sizes: Sequence[tuple[int, int]], mode: Literal["L", "RGB"]
-) -> list[str]:
-    """Write photographs in these sizes, and masks, and enter them with their lenses; the names of the files."""
+def _import_photographs(folder: Path, photographs: Sequence[Photograph], sizes: Sequence[tuple[int, int]]) -> list[str]:
+    """Write gray photographs in these sizes, and masks, and enter them with their lenses; the names of the files."""
+    import pycolmap
+
     path = folder / "database.db"
     # COLMAP shares a camera among the images of a folder; images are named by their index.
     lenses = list(dict.fromkeys((photograph.lens, photograph.size) for photograph in photographs))
     names = [f"{lenses.index((one.lens, one.size))}/{index:06d}.pnm" for index, one in enumerate(photographs)]
     for name, photograph, (height, width) in zip(names, photographs, sizes, strict=True):
         (folder / name).parent.mkdir(exist_ok=True)
-        image = Image.fromarray(photograph.pixels).convert(mode)
+        image = Image.fromarray(photograph.pixels).convert("L")
         resized = image if image.size == (width, height) else image.resize((width, height), Image.Resampling.LANCZOS)
         resized.save(folder / name)
         if any(one.mask is not None for one in photographs):  # COLMAP leaves out what has none, where one has
             mask = np.full(photograph.size, 255, np.uint8) if photograph.mask is None else photograph.mask
             mask = np.asarray(Image.fromarray(mask).resize((width, height)))
-            _mask_of(folder, name).parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(_mask_of(folder, name))
+            file = folder / "masks" / f"{name}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(file)
     pycolmap.Database.open(path).close()
     pycolmap.import_images(path, folder, pycolmap.CameraMode.PER_FOLDER, names, _reader(folder))
     with closing(pycolmap.Database.open(path)) as database:
@@ -145,11 +155,9 @@ def _import(
     return names
 
 
-def _mask_of(folder: Path, name: str) -> Path:
-    return folder / "masks" / f"{name}.png"
+def _reader(folder: Path) -> "pycolmap.ImageReaderOptions":
+    import pycolmap
 
-
-def _reader(folder: Path) -> pycolmap.ImageReaderOptions:
     reader = pycolmap.ImageReaderOptions()
     if (folder / "masks").is_dir():
         reader.mask_path = folder / "masks"
@@ -157,31 +165,17 @@ def _reader(folder: Path) -> pycolmap.ImageReaderOptions:
     return reader
 
 
-def _ids(database: pycolmap.Database, names: Sequence[str]) -> list[int]:
+def _ids(database: "pycolmap.Database", names: Sequence[str]) -> list[int]:
     ids = {image.name: image.image_id for image in database.read_all_images()}
     return [ids[name] for name in names]
 
 
-def _verification(options: SearchOptions) -> pycolmap.TwoViewGeometryOptions:
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = options.seed
-    return verification
+def _extract_features(
+    folder: Path, names: Sequence[str], options: SearchOptions, threads: int, on_progress: OnProgress
+) -> list[Float[np.ndarray, "_ 128"]]:
+    """Write SIFT features into the database; descriptors of each photograph's largest ones."""
+    import pycolmap
 
-
-def _write_pairs(folder: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> Path:
-    path = folder / "pairs.txt"
-    path.write_text("".join(f"{names[first]} {names[second]}\n" for first, second in pairs))
-    return path
-
-
-Choose = Callable[[Sequence[Float[np.ndarray, "_ 128"]]], Sequence[tuple[int, int]]]
-"""From descriptors of each photograph's most distinct features to the pairs that are worth matching."""
-
-
-def _match_sift(
-    folder: Path, names: Sequence[str], options: SearchOptions, choose: Choose, threads: int, on_progress: OnProgress
-) -> None:
-    """SIFT features, and verified matches that are nearer than others by a ratio, into the database."""
     path, count = folder / "database.db", len(names)
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.use_gpu = threads, False
@@ -196,46 +190,30 @@ def _match_sift(
         features = [
             (database.read_keypoints(image), database.read_descriptors(image)) for image in _ids(database, names)
         ]
-    pairs = choose([largest_features(keypoints, descriptors.data) for keypoints, descriptors in features])
+    return [largest_features(keypoints, descriptors.data) for keypoints, descriptors in features]
+
+
+def _match_pairs(
+    folder: Path,
+    names: Sequence[str],
+    pairs: Sequence[tuple[int, int]],
+    options: SearchOptions,
+    threads: int,
+    on_progress: OnProgress,
+) -> None:
+    """Write verified matches, of features that are nearer than others by a ratio, into the database."""
+    import pycolmap
+
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = options.seed
     matching, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.ImportedPairingOptions()
     matching.num_threads, matching.use_gpu = threads, False
     for start in range(0, len(pairs), CHUNK):
-        pairing.match_list_path = _write_pairs(folder, names, pairs[start : start + CHUNK])
-        pycolmap.match_image_pairs(path, matching, pairing, _verification(options), pycolmap.Device.cpu)
+        chunk = pairs[start : start + CHUNK]
+        pairing.match_list_path = folder / "pairs.txt"
+        pairing.match_list_path.write_text("".join(f"{names[first]} {names[second]}\n" for first, second in chunk))
+        pycolmap.match_image_pairs(folder / "database.db", matching, pairing, verification, pycolmap.Device.cpu)
         on_progress(Progress.count("matches", min(start + CHUNK, len(pairs)), len(pairs)))
-
-
-def _match_aliked(
-    folder: Path, names: Sequence[str], options: SearchOptions, choose: Choose, threads: int, on_progress: OnProgress
-) -> None:
-    """ALIKED features, and LightGlue's matches, verified as those of SIFT, into the database."""
-    from anystyle_captures.sfm.learned import (  # kornia, for this search alone
-        AlikedLightGlue,
-        DetectedFeatures,
-        on_threads,
-    )
-
-    path, matcher, features = folder / "database.db", AlikedLightGlue(options.num_features), list[DetectedFeatures]()
-
-    def detect(name: str) -> DetectedFeatures:
-        mask = np.asarray(Image.open(_mask_of(folder, name))) if _mask_of(folder, name).exists() else None
-        return matcher.features(np.asarray(Image.open(folder / name)), mask)
-
-    for one in on_threads(detect, names, threads):
-        features.append(one)
-        on_progress(Progress.count("features", len(features), len(names)))
-    pairs = choose([one.descriptors[:PREVIEW].numpy() for one in features])
-    seconds = SECONDS_A_PAIR * len(pairs) / threads
-    logger.info("LightGlue matches %d pairs of photographs, which takes about %.0f s", len(pairs), seconds)
-    matched = on_threads(matcher.matches, [(features[first], features[second]) for first, second in pairs], threads)
-    with closing(pycolmap.Database.open(path)) as database:
-        ids = _ids(database, names)
-        for image, one in zip(ids, features, strict=True):
-            database.write_keypoints(image, one.keypoints.numpy() + 0.5)  # COLMAP's first pixel is centred at 0.5
-        for done, ((first, second), matches) in enumerate(zip(pairs, matched, strict=True), 1):
-            database.write_matches(ids[first], ids[second], matches)
-            on_progress(Progress.count("matches", done, len(pairs)))
-    pycolmap.verify_matches(path, _write_pairs(folder, names, pairs), _verification(options))
 
 
 def motion(
@@ -245,6 +223,8 @@ def motion(
 
     ``intrinsics`` of both are in pixels of photographs of height and width ``size``.
     """
+    import pycolmap
+
     cameras = []
     for matrix, view in zip(intrinsics, (pair.first, pair.second), strict=True):
         height, width = graph.sizes[view]
@@ -262,8 +242,10 @@ def motion(
 
 def _map_incrementally(
     folder: Path, options: SearchOptions, on_view: Callable[[], None]
-) -> dict[int, pycolmap.Reconstruction]:
+) -> dict[int, "pycolmap.Reconstruction"]:
     """Models that grow by one view after the other."""
+    import pycolmap
+
     mapping = pycolmap.IncrementalPipelineOptions()
     mapping.num_threads = mapping.mapper.num_threads = MAPPING_THREADS
     mapping.random_seed = mapping.mapper.random_seed = mapping.triangulation.random_seed = options.seed
@@ -274,8 +256,10 @@ def _map_incrementally(
     return pycolmap.incremental_mapping(folder / "database.db", folder, folder, mapping, next_image_callback=on_view)
 
 
-def _map_globally(folder: Path, options: SearchOptions) -> dict[int, pycolmap.Reconstruction]:
+def _map_globally(folder: Path, options: SearchOptions) -> dict[int, "pycolmap.Reconstruction"]:
     """Models by averaging all rotations and then solving for all positions at once (GLOMAP)."""
+    import pycolmap
+
     mapping = pycolmap.GlobalPipelineOptions()
     mapping.num_threads = mapping.mapper.num_threads = MAPPING_THREADS
     mapping.random_seed = mapping.mapper.random_seed = options.seed
@@ -283,7 +267,7 @@ def _map_globally(folder: Path, options: SearchOptions) -> dict[int, pycolmap.Re
     return pycolmap.global_mapping(folder / "database.db", folder, folder, mapping)
 
 
-def _as_arrays(reconstruction: pycolmap.Reconstruction, photographs: Sequence[Photograph]) -> SparseModel:
+def _as_arrays(reconstruction: "pycolmap.Reconstruction", photographs: Sequence[Photograph]) -> SparseModel:
     model = SparseModel.empty(len(photographs))
     views: dict[int, int] = {}
     for image in reconstruction.images.values():

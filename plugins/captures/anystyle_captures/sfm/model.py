@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -186,7 +186,6 @@ test among the ``PREVIEW`` features of largest scale."""
 class SearchOptions:
     """How cameras are searched for."""
 
-    features: Literal["sift", "aliked"] = "sift"  # matched by their distance, or by LightGlue
     min_side: int = 512  # smaller photographs are enlarged to this longer side: SIFT finds few features in them
     max_side: int = 768
     num_features: int = 1500  # of each photograph, the strongest
@@ -194,18 +193,10 @@ class SearchOptions:
     min_inliers: int = 15  # matches with which the incremental mapper tries to register a view
     seed: int = 0
 
-    def described(self, longer: int) -> str:
-        """The features and the pixels of photographs of this longer side, in words."""
-        by = {"sift": "SIFT", "aliked": "ALIKED and LightGlue"}[self.features]
-        return f"{by} at {min(longer, self.max_side)} pixels"
-
 
 SEARCHES = (SearchOptions(), SearchOptions(max_side=1600, num_features=8000, min_contrast=0.003))
 """The second is begun where the first leaves photographs out that have more pixels than it looked at. More features of
 the same pixels find wrong places (docs/notes/2026-11-captures.md)."""
-LEARNED = SearchOptions(features="aliked", min_side=768)
-LEARNED_NETWORKS = ("aliked", "aliked_lightglue")
-"""A further search by learned features and matches, for photographs that SIFT leaves out, and the weights it needs."""
 
 
 class VerifiedPair(NamedTuple):
@@ -233,10 +224,10 @@ def largest_features(keypoints: Float[Array, "N 6"], descriptors: Array) -> Floa
 
 
 def pairs_to_match(previews: Sequence[Float[Array, "_ 128"]], ordered: bool) -> list[tuple[int, int]]:
-    """Pairs (first, second) with first < second that are worth matching in full: all of few photographs.
+    """Pairs (first, second) with first < second to match in full.
 
-    Others are those that share most of their largest features (preemptive matching, Wu, *Towards Linear-time
-    Incremental Structure from Motion*, 3DV 2013), and in a video neighbours in time.
+    All pairs if there are few photographs; otherwise those that share most of their largest features (preemptive
+    matching, Wu, *Towards Linear-time Incremental Structure from Motion*, 3DV 2013), and in a video neighbours in time.
     """
     count = len(previews)
     pairs = list(combinations(range(count), 2))

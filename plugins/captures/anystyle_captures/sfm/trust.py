@@ -1,7 +1,6 @@
 """Which of several models to take, which of its views, and how far it can be trusted."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -58,29 +57,6 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
     measures |= {"searched_pixels": float(max(map(max, graph.sizes)))}
     reasons = (*doubts, *_left_out(graph, best[0]))
     return model, Verdict("doubtful" if doubts else "good", reasons, measures)
-
-
-def extends(model: SparseModel, known: SparseModel) -> bool:
-    """Whether a model has all cameras of a known one, where this has them, and more."""
-    views = np.flatnonzero(known.registered)
-    if len(views) < MIN_VIEWS or not model.registered[views].all() or model.registered.sum() == len(views):
-        return False
-    difference = agreement(model.world_from_camera[views], known.world_from_camera[views])
-    return bool(difference.within(MAX_ROTATION, MAX_POSITION).all())
-
-
-def unconfirmed(verdict: Verdict, names: Sequence[str]) -> Verdict:
-    """The verdict on a model whose cameras of ``names`` rest on learned matches: at most doubtful.
-
-    Such matches agree with each other where they are wrong, too, so that both mappers and many points may do so.
-    """
-    if verdict.trust == "failed":
-        return verdict
-    doubt = (
-        f"the cameras of {_listed(names)} rest on learned matches alone, which nothing confirms; "
-        "take photographs between these and their neighbours"
-    )
-    return replace(verdict, trust="doubtful", reasons=(doubt, *verdict.reasons))
 
 
 def _best_supported(models: Sequence[SparseModel]) -> SparseModel | None:
@@ -164,13 +140,9 @@ def _left_out(graph: ViewGraph, model: SparseModel) -> list[str]:
     return reasons
 
 
-def _listed(given: Sequence[str], most: int = 6) -> str:
-    names = sorted(given, key=natural)
+def _names(graph: ViewGraph, views: Sequence[int], most: int = 6) -> str:
+    names = sorted((graph.names[view] for view in views), key=natural)
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def _names(graph: ViewGraph, views: Sequence[int]) -> str:
-    return _listed([graph.names[view] for view in views])
 
 
 def supported_views(seen: Bool[Array, "P V"], least: int) -> list[int]:

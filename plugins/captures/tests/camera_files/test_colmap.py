@@ -44,6 +44,13 @@ def test_damaged_files_are_refused(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 9, 1, 64, 48, 50.0, 51.0, 32.0, 24.0))
     with pytest.raises(ValueError, match="which is not there"):
         colmap_files.read(tmp_path)
+    (tmp_path / "cameras.bin").write_bytes(b"\xff" * 64)
+    with pytest.raises(ValueError, match="more than the file holds"):
+        colmap_files.read(tmp_path)
+    colmap.write(model(), tmp_path / "text", binary=False)
+    (tmp_path / "text" / "images.txt").write_text("1 nan 0 0 0 0 0 0 1 a.png\n\n")
+    with pytest.raises(ValueError, match=r"the pose of a\.png is not a rotation and translation"):
+        colmap_files.read(tmp_path / "text")
 
 
 @pytest.mark.parametrize("binary", [True, False])

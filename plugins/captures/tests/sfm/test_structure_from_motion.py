@@ -1,5 +1,6 @@
 """Cameras found in exact pictures of a known world."""
 
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -211,8 +212,21 @@ def test_names_are_distinct(orbit):
         solve([])
 
 
+def test_a_search_keeps_signal_handlers_and_nothing_is_imported_before_it():
+    """Importing pycolmap replaces handlers to print a native stack, and crashes Pillow where it comes first."""
+    lines = """
+import os, signal, sys
+from anystyle_captures.sfm.colmap import load_pycolmap
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+assert "pycolmap" not in sys.modules
+load_pycolmap()
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+    assert subprocess.run([sys.executable, "-c", lines], check=False).returncode == 7
+
+
 def test_without_pycolmap(monkeypatch, orbit):
-    monkeypatch.setitem(sys.modules, "anystyle_captures.sfm.colmap", None)
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(ImportError, match="pip install pycolmap"):
         solve(orbit[1][:3])
 

@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from anystyle.contracts import Verdict
-from anystyle_captures.sfm.model import (
-    Photograph,
-    SearchOptions,
-    SparseModel,
-    VerifiedPair,
-    ViewGraph,
-    largest_features,
-    pairs_to_match,
-)
-from anystyle_captures.sfm.trust import agreement, extends, judge, share_of_rotation, supported_views
-from anystyle_captures.structure_from_motion import best_search
+from anystyle_captures.sfm.model import SparseModel, VerifiedPair, ViewGraph, largest_features, pairs_to_match
+from anystyle_captures.sfm.trust import agreement, judge, share_of_rotation, supported_views
 from tests.support.cards import arc
 
 VIEWS, SIZE = 6, (480, 640)
@@ -130,48 +120,6 @@ def test_views_in_dispute_are_named_and_left_out_if_most_agree(graph, right, rng
     assert np.flatnonzero(~found.registered).tolist() == [4]
     found, verdict = judge(graph, [[right], [others_displaced(right, rng)]])
     assert verdict.trust == "doubtful" and "disagree" in verdict.reasons[0] and found.registered.all()
-
-
-def test_a_model_extends_another_where_it_has_all_its_cameras_and_more(right, rng):
-    known = right.restricted([0, 1, 2, 3])
-    assert extends(moved(right, rng), known) and extends(moved(displaced(right, 5), rng), known)
-    assert not extends(moved(displaced(right, 3), rng), known)
-    assert not extends(right.restricted([1, 2, 3, 4, 5]), known) and not extends(known, known)
-    assert not extends(right, right.restricted([0, 1])) and not extends(right, SparseModel.empty(VIEWS))
-
-
-SIFT, LEARNED = SearchOptions(), SearchOptions(features="aliked", min_side=8)
-GOOD, DOUBTFUL = Verdict("good", (), {}), Verdict("doubtful", ("why",), {})
-
-
-@pytest.mark.parametrize(
-    ("known", "learned", "counts", "unconfirmed"),
-    [
-        ((4, GOOD), ("right", GOOD), "learned", "view4, view5"),
-        ((4, GOOD), ("right", DOUBTFUL), "known", None),
-        ((4, GOOD), ("another", GOOD), "known", None),
-        ((4, DOUBTFUL), ("another", GOOD), "learned", "view0, view1, view2, view3, view4, view5"),
-        ((6, DOUBTFUL), ("another", GOOD), "known", None),
-        ((4, DOUBTFUL), ("right", DOUBTFUL), "known", None),
-        ((0, Verdict("failed", ("why",), {})), ("right", GOOD), "learned", "view0, view1, view2, view3, view4, view5"),
-    ],
-)
-def test_cameras_by_learned_matches_are_doubtful_and_extend_good_ones(right, rng, known, learned, counts, unconfirmed):
-    models = {"right": moved(right, rng), "another": moved(displaced(right, 1), rng)}
-    given = {SIFT: (right.restricted(range(known[0])), known[1]), LEARNED: (models[learned[0]], learned[1])}
-    photographs = [Photograph(f"view{view}", np.zeros((8, 8, 3), np.uint8)) for view in range(VIEWS)]
-    best = best_search(photographs, (SIFT, LEARNED), given.__getitem__)
-    assert best.model is given[LEARNED if counts == "learned" else SIFT][0]
-    if unconfirmed is None:
-        assert best.verdict is known[1]
-    else:
-        assert best.verdict.trust == "doubtful"
-        assert best.verdict.reasons[0].startswith(f"the cameras of {unconfirmed} rest on learned matches alone")
-
-
-def test_nothing_learned_is_asked_where_no_photograph_is_left_out(right):
-    photographs = [Photograph(f"view{view}", np.zeros((8, 8, 3), np.uint8)) for view in range(VIEWS)]
-    assert best_search(photographs, (SIFT, LEARNED), {SIFT: (right, GOOD)}.__getitem__).verdict is GOOD
 
 
 def test_turns_are_told_from_steps(rng):

@@ -1,0 +1,68 @@
+"""What is stylized: photographs, a saved scene, or views in memory. It is decided once, as a request is made."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from anystyle.data.folder import files_of
+from anystyle.data.scene_format import scene_format
+from anystyle.errors import UserError
+from anystyle.types import Views
+
+OWN = ".safetensors"
+"""The suffix of the Gaussians that ``anystyle stylize`` writes without any loss."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Folders of photographs, files, patterns and videos."""
+
+    paths: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class SavedScene:
+    """A file of Gaussians, or a folder of results."""
+
+    path: Path
+
+
+@dataclass(frozen=True)
+class Given:
+    """Views of one scene, in memory."""
+
+    views: Views
+
+
+Inputs = Photographs | SavedScene | Given
+GivenInputs = str | Path | Sequence[str | Path] | Views
+"""How Python names inputs: a folder, files, a pattern, a video or a saved scene; or views of one scene."""
+
+
+def inputs_of(given: GivenInputs) -> Inputs | None:
+    """What is given: one path may be a saved scene, others are photographs; ``None`` for no path."""
+    if isinstance(given, Views):
+        return Given(given)
+    paths = tuple(map(Path, [given] if isinstance(given, (str, Path)) else given))
+    if len(paths) == 1 and is_saved(paths[0]):
+        return SavedScene(paths[0])
+    return Photographs(paths) if paths else None
+
+
+def is_saved(path: Path) -> bool:
+    """Whether this is a file or folder of Gaussians, or a folder that ``anystyle stylize`` wrote, and no capture."""
+    if path.is_dir() and (path / "report.json").is_file() and any(path.glob("*.safetensors")):
+        return True
+    return scene_format(path) is not None or (path.suffix.lower() == OWN and not path.is_dir())
+
+
+def check_inputs(inputs: Inputs | None) -> None:
+    """Refuse inputs that are not there, which takes no time, before networks are loaded, which takes long."""
+    match inputs:
+        case SavedScene(path) if not path.exists():
+            raise UserError(
+                f"there is no file {path}; name photographs, a video, a file of Gaussians or a saved folder"
+            )
+        case Photographs(paths):
+            for path in paths:
+                files_of(path)

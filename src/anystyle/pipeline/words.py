@@ -1,0 +1,231 @@
+"""The words of ``anystyle stylize``: from the arguments of the command line to a request, and back to them."""
+
+import argparse
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from anystyle.cli.arguments import is_override, new_parser, split
+from anystyle.errors import UserError
+from anystyle.io.documents import read_json
+from anystyle.pipeline.controls import Controls, Mask, combinations
+from anystyle.pipeline.inputs import Given, SavedScene, inputs_of
+from anystyle.pipeline.request import Request
+from anystyle.pipeline.styles import Mixture, Named, StyleInput, check_text
+from anystyle.registry.compose import override
+
+NUMBERS = ("strength", "preserve_color", "scale")
+"""The controls that are numbers."""
+
+
+def request(args: Sequence[str]) -> Request:
+    """The request of a command line after ``anystyle stylize``; ``--out`` and ``--open`` do not belong to it.
+
+    Raises:
+        UserError: An argument is unknown, or does not go with another.
+
+    Example:
+        >>> asked = request(["photos/", "--text", "blue ink", "--strength", "0.5", "views.take=12"])
+        >>> asked.views.take
+        12
+        >>> args_of(asked)
+        ['photos', '--text', 'blue ink', '--strength', '0.5', 'views.take=12']
+    """
+    arguments, overrides = parsed(args)
+    if foreign := [word for word in overrides if not is_override(word)]:
+        raise UserError(f"{foreign[0]} is a flag of Hydra's, which only the command line takes")
+    return request_of(arguments, overrides)
+
+
+def request_of(arguments: argparse.Namespace, overrides: Sequence[str], composed: DictConfig | None = None) -> Request:
+    """The request of what :func:`parsed` returns, with the configuration where Hydra has composed it already."""
+    styles, controls = _styles_of(arguments), tuple(_controls_of(arguments))
+    return Request(inputs_of(arguments.inputs), styles, controls, tuple(overrides), composed)
+
+
+def args_of(request: Request) -> list[str]:
+    """The arguments of the command line that ask for the same.
+
+    Raises:
+        UserError: Views or styles are in memory, or controls are not all combinations of their values.
+    """
+    match request.inputs:
+        case Given():
+            raise UserError("views in memory have no command line; give their files")
+        case SavedScene(path):
+            paths = [str(path)]
+        case None:
+            paths = []
+        case photographs:
+            paths = [str(path) for path in photographs.paths]
+    inputs = [f"./{path}" if path.startswith("-") or is_override(path) else path for path in paths]
+    return [*inputs, *_styles_as_args(request.styles), *_controls_as_args(request.controls), *request.overrides]
+
+
+def recorded(request: Request) -> list[str] | None:
+    """The arguments that make a result again, with the names of absolute paths; ``None`` if something is in memory."""
+    try:
+        args = args_of(request)
+    except UserError:
+        return None
+    # A text that begins with a slash is no path.
+    return [
+        word if before == "--text" else re.sub(r"(^|[='])/(?:[^']*/)?(?=[^/'])", r"\1", word)
+        for before, word in pairwise(["", *args])
+    ]
+
+
+def digest(request: Request) -> str | None:
+    """By which the same request from the same folder is known again; ``None`` if something of it is in memory."""
+    try:
+        asked = [str(Path.cwd()), *args_of(replace(request, overrides=()))]
+    except UserError:
+        return None
+    config = OmegaConf.to_yaml(request.config, resolve=True, sort_keys=True)
+    return hashlib.sha256(json.dumps([*asked, config]).encode()).hexdigest()
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle stylize``; every other argument is a Hydra override."""
+    flags = new_parser(
+        "stylize",
+        "Stylize photographs as a 3D Gaussian scene. Arguments such as key=value are Hydra overrides.",
+        epilog="Every option of every component: anystyle stylize --cfg job",
+    )
+    add = flags.add_argument
+    inputs = "a folder, files, a glob or a video; a PLY file or a folder of results; or none with scenes=NAME"
+    add("inputs", nargs="*", help=inputs)
+    style: dict[str, Any] = {"action": _StyleFlag, "dest": "styles", "default": []}
+    add("--text", **style, help="a style in words; may be given several times")
+    add("--image", **style, help="a style as an image file; likewise")
+    name = "what the --text or --image before it is called in folders, on the sheet and in pages"
+    add("--name", action=_NameFlag, dest="styles", help=name)
+    mix = "with exactly two styles: the point between them, 0 is the first and 1 the second; likewise"
+    add("--mix", action="append", default=[], metavar="AMOUNT", help=mix)
+    control = flags.add_argument_group("how a style is applied; several values make a strip").add_argument
+    several: dict[str, Any] = {"action": "append", "default": []}
+    control("--strength", **several, metavar="0..1", help="0 is the unstyled scene")
+    control("--preserve-color", **several, metavar="0..1", help="keep the scene's hues")
+    control("--scale", **several, metavar="FACTOR", help="size of strokes")
+    mask = "where style enters: a folder of masks, sphere:X,Y,Z,RADIUS or box:X,Y,Z,X,Y,Z; ,soft=WIDTH after it"
+    control("--mask", **several, metavar="WHERE", help=mask)
+    photo_masks = (
+        "images named as the photographs; what is black in them, such as people or the sky, is not learnt. "
+        "views.masked=empty: nothing is there"
+    )
+    add("--photo-masks", metavar="DIR", help=photo_masks)
+    formats = "additional files of the scene, by the names of `anystyle plugins format`; several with commas"
+    add("--export", default="", metavar="FORMATS", help=formats)
+    add("--again", metavar="REPORT", help="what a report.json was asked for; further arguments are added")
+    add("--out", default="out", help="where the results go (default: %(default)s)")
+    add("--overwrite", action="store_true", help="replace the results of another run in --out")
+    add("--open", action="store_true", help="look at them in the browser, where there is a display")
+    return flags
+
+
+def parsed(args: Sequence[str], flags: argparse.ArgumentParser | None = None) -> tuple[argparse.Namespace, list[str]]:
+    """The flags of a command line, and its overrides with those that flags stand for."""
+    arguments, overrides = split(flags or parser(), args)
+    if arguments.again is not None:
+        request = read_json(Path(arguments.again), dict[str, Any], what="report").get("request")
+        if not isinstance(request, list):
+            raise UserError(f"{arguments.again} does not say what was asked for; its inputs were in memory or left out")
+        index = next(i for i, word in enumerate(args) if word.partition("=")[0] == "--again")
+        following = args[index + (1 if "=" in args[index] else 2) :]
+        return parsed([*map(str, request), *args[:index], *following], flags)
+    meant: dict[str, object] = {} if arguments.photo_masks is None else {"views.masks": arguments.photo_masks}
+    if arguments.export:
+        if any(word.startswith("export.formats=") for word in overrides):
+            raise UserError("formats are named twice; give --export or export.formats")
+        meant["export.formats"] = arguments.export.split(",")
+    return arguments, [*(override(key, value) for key, value in meant.items()), *overrides]
+
+
+class _StyleFlag(argparse.Action):
+    """Collects texts and images in one list, so that styles have the order in which they are typed."""
+
+    def __call__(self, parser: object, namespace: argparse.Namespace, values: Any, option_string: Any = None) -> None:
+        namespace.styles = [*namespace.styles, (Path if option_string == "--image" else str, values, None)]
+
+
+class _NameFlag(argparse.Action):
+    """Names the style before it."""
+
+    def __call__(self, parser: object, namespace: argparse.Namespace, values: Any, option_string: Any = None) -> None:
+        if not namespace.styles or namespace.styles[-1][2] is not None:
+            raise UserError(f"--name {values} follows the --text or --image that it names")
+        *others, (kind, word, _) = namespace.styles
+        namespace.styles = [*others, (kind, word, values)]
+
+
+def _styles_of(arguments: argparse.Namespace) -> tuple[StyleInput, ...]:
+    """The styles in the order of their flags, or their mixtures."""
+    styles: list[StyleInput] = []
+    for kind, word, name in arguments.styles:
+        if kind is str:
+            check_text(word, "--text")
+        styles.append(kind(word) if name is None else Named(kind(word), name))
+    amounts = _numbers("mix", arguments.mix)
+    if not all(0 <= amount <= 1 for amount in amounts):
+        raise UserError(f"--mix takes numbers between 0 and 1, not {','.join(arguments.mix)}")
+    if amounts and len(styles) != 2:
+        raise UserError(f"--mix needs exactly two styles, and {len(styles)} are given; add or drop a --text or --image")
+    return tuple(Mixture(styles[0], styles[1], amount) for amount in amounts) or tuple(styles)
+
+
+def _mask(word: str) -> Mask:
+    from anystyle.pipeline.masks import parsed
+
+    return parsed(word)
+
+
+def _controls_of(arguments: argparse.Namespace) -> list[Controls]:
+    """Every combination of the values of the flags."""
+    numbers = (_numbers(flag, getattr(arguments, flag)) for flag in NUMBERS)
+    return combinations(*numbers, mask=[_mask(word) for word in arguments.mask])
+
+
+def _numbers(flag: str, words: Sequence[str]) -> list[float]:
+    try:
+        return [float(word) for word in ",".join(words).split(",")] if words else []
+    except ValueError:
+        raise UserError(f"--{flag.replace('_', '-')} takes numbers, not {','.join(words)!r}") from None
+
+
+def _styles_as_args(styles: Sequence[StyleInput]) -> list[str]:
+    words: list[str] = []
+    mixed = [style for style in styles if isinstance(style, Mixture)]
+    if mixed:
+        first, second = mixed[0].first, mixed[0].second
+        if len(mixed) < len(styles) or any((style.first, style.second) != (first, second) for style in mixed):
+            raise UserError("mixtures of several pairs of styles have no command line")
+        return [*_styles_as_args([first, second]), "--mix", ",".join(f"{style.amount:g}" for style in mixed)]
+    for style in styles:
+        match style:
+            case Named(style=plain, name=name):
+                words += [*_styles_as_args([plain]), "--name", name]
+            case str() | Path():
+                name, value = "--text" if isinstance(style, str) else "--image", str(style)
+                words += [f"{name}={value}"] if value.startswith("-") else [name, value]
+            case _:
+                raise UserError("styles in memory have no command line; give their files")
+    return words
+
+
+def _controls_as_args(controls: Sequence[Controls]) -> list[str]:
+    values = {name: list(dict.fromkeys(getattr(one, name) for one in controls)) for name in (*NUMBERS, "mask")}
+    masks = [mask for mask in values.pop("mask") if mask is not None]
+    if tuple(combinations(*values.values(), mask=masks)) != tuple(controls):
+        raise UserError("controls that are not all combinations of their values have no command line")
+    words: list[str] = []
+    for name, numbers in values.items():
+        if numbers != [getattr(Controls(), name)]:
+            words += [f"--{name.replace('_', '-')}", ",".join(f"{value:g}" for value in numbers)]
+    return [*words, *(word for mask in masks for word in ("--mask", mask.text))]
