@@ -5,7 +5,6 @@ import json
 import shutil
 import subprocess
 import zipfile
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -28,39 +27,6 @@ def gaussians_of(means, rotations, scales, opacities, harmonics):
 def from_axes(up, gaussians: Gaussians) -> Gaussians:
     """Turned to OpenCV's axes."""
     return in_axes("opencv", StyledScene((("", gaussians),), up=up)).styles[0][1]
-
-
-def read_glb(path: Path) -> Gaussians:
-    """With pygltflib, in the file's axes."""
-    from pygltflib import GLTF2
-
-    document = GLTF2().load(str(path))
-    assert document is not None and "KHR_gaussian_splatting" in (document.extensionsUsed or [])
-    (primitive,) = document.meshes[0].primitives
-    assert primitive.mode == 0 and primitive.extensions["KHR_gaussian_splatting"]["kernel"] == "ellipse"
-    blob = document.binary_blob()
-
-    def column(name):
-        accessor = document.accessors[getattr(primitive.attributes, name)]
-        view = document.bufferViews[accessor.bufferView]
-        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor.type]
-        assert accessor.componentType == 5126
-        values = np.frombuffer(blob, "<f4", accessor.count * width, view.byteOffset).reshape(-1, width)
-        if accessor.min:
-            np.testing.assert_array_equal([accessor.min, accessor.max], [values.min(0), values.max(0)])
-        return values
-
-    stem = "KHR_gaussian_splatting:"
-    degrees = [int(name.split("_")[-3]) for name in vars(primitive.attributes) if name.startswith(f"{stem}SH_DEGREE")]
-    harmonics = [
-        column(f"{stem}SH_DEGREE_{degree}_COEF_{order}")
-        for degree in range(max(degrees) + 1)
-        for order in range(2 * degree + 1)
-    ]
-    return gaussians_of(
-        column("POSITION"), column(f"{stem}ROTATION")[:, [3, 0, 1, 2]], column(f"{stem}SCALE"),
-        column(f"{stem}OPACITY")[:, 0], np.stack(harmonics, 1),
-    )  # fmt: skip
 
 
 def read_ply(path: Path) -> Gaussians:
@@ -129,48 +95,22 @@ def read_sog(path: Path) -> Gaussians:
     return gaussians_of(means, quaternions, scales, color[:, 3] / 255, np.concatenate(harmonics, 1))
 
 
-def read_usd(path: Path) -> Gaussians:
-    """With OpenUSD, in the axes of a stage without transformations."""
-    from pxr import Usd
-
-    stage = Usd.Stage.Open(str(path))
-    field = stage.GetPrimAtPath("/Scene/Gaussians")
-    means, scales, opacities, harmonics = (
-        np.array(field.GetAttribute(name).Get())
-        for name in ("positions", "scales", "opacities", "radiance:sphericalHarmonicsCoefficients")
-    )
-    quaternions = [[each.GetReal(), *each.GetImaginary()] for each in field.GetAttribute("orientations").Get()]
-    return gaussians_of(means, quaternions, scales, opacities, harmonics.reshape(len(means), -1, 3))
-
-
 def read_with_splat_transform(path: Path, folder: Path) -> Gaussians:
     """Converted to PLY, in OpenCV's axes; it turns other formats to those of 3DGS, but not SPZ (as of 3.7.0)."""
     out = folder / f"{path.name}.ply"
-    with_splat_transform(path, out)
-    return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
-
-
-def with_splat_transform(source: Path, target: Path) -> None:
-    """Convert a file; without a GPU, which compressing to SOG takes otherwise."""
-    words = [str(SPLAT_TRANSFORM), "-q", "-w", "-g", "cpu", str(source), str(target)]
+    # Without a GPU, which compressing to SOG takes otherwise.
+    words = [str(SPLAT_TRANSFORM), "-q", "-w", "-g", "cpu", str(path), str(out)]
     subprocess.run(words, check=True, capture_output=True)
-
-
-def with_gaussforge(source: Path, target: Path) -> None:
-    """Convert a file; it turns no axes."""
-    import gaussforge
-
-    kinds = source.suffix[1:], target.suffix[1:]
-    target.write_bytes(gaussforge.GaussForge().convert(source.read_bytes(), *kinds)["data"])
+    return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
 
 
 def read_with_gaussforge(path: Path, folder: Path) -> Gaussians:
-    """Converted to PLY, in OpenCV's axes."""
+    """Converted to PLY, in OpenCV's axes; it turns none."""
+    import gaussforge
+
     out = folder / f"{path.name}.gaussforge.ply"
-    with_gaussforge(path, out)
+    out.write_bytes(gaussforge.GaussForge().convert(path.read_bytes(), path.suffix[1:], "ply")["data"])
     return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
 
 
-READERS = {"glb": read_glb, "spz": read_spz_file, "splat": read_splat, "sog": read_sog, "ply": read_ply}
-if find_spec("pxr") is not None:
-    READERS["usdc"] = read_usd
+READERS = {"ply": read_ply, "spz": read_spz_file, "sog": read_sog, "splat": read_splat}

@@ -58,7 +58,7 @@ Case = tuple[str, Callable[[], Strange]]
 
 def cases() -> dict[str, Callable[[], Strange]]:
     """All by name; the suffix of a name is that of the file."""
-    made = itertools.chain(plys(), compressed(), splats(), spzs(), sogs(), ksplats(), glbs())
+    made = itertools.chain(plys(), compressed(), splats(), spzs(), sogs(), ksplats())
     return dict(made)
 
 
@@ -133,28 +133,24 @@ def header(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
 
 
 def plys() -> Iterator[Case]:
-    names: dict[str, Callable[[list[str]], list[str]]] = {
-        "as 3DGS": list, "backwards": lambda n: n[::-1], "sorted": sorted,
-        "shuffled": lambda n: [n[i] for i in drawn(7).permutation(len(n))],
-        "without normals": lambda n: [each for each in n if each not in ("nx", "ny", "nz")],
-    }  # fmt: skip
-    for degree, (what, arrange), order in itertools.product(range(5), names.items(), FORMATS):
+    def arranged(degree: int, names: list[str], order: str = "<") -> Callable[[], Strange]:
+        values = columns(degree)
+        return lambda: Strange(ply({name: values[name] for name in names}, order), held_by(values))
 
-        def arranged(degree=degree, arrange=arrange, order=order) -> Strange:
-            values = columns(degree)
-            return Strange(ply({name: values[name] for name in arrange(list(values))}, order), held_by(values))
+    for degree in range(5):
+        yield f"degree {degree}.ply", arranged(degree, list(columns(degree)))
+    names = list(columns(2))
+    yield "backwards, big endian.ply", arranged(2, names[::-1], ">")
+    yield "shuffled, ascii.ply", arranged(2, [names[i] for i in drawn(7).permutation(len(names))], "")
+    yield "without normals.ply", arranged(2, [name for name in names if name not in ("nx", "ny", "nz")])
+    for what, change in typed().items():
 
-        yield f"degree {degree}, {what}, {FORMATS[order].removeprefix('binary_')}.ply", arranged
+        def typed_as(change=change) -> Strange:
+            values, kinds, lines = change(columns(1))
+            stored = {key: np.array(column, kinds.get(key, "f4")) for key, column in values.items()}
+            return Strange(ply(stored, "<", kinds), told(stored), lines)
 
-    for order in FORMATS:
-        for what, change in typed().items():
-
-            def typed_as(order=order, change=change) -> Strange:
-                values, kinds, lines = change(columns(1))
-                stored = {key: np.array(column, kinds.get(key, "f4")) for key, column in values.items()}
-                return Strange(ply(stored, order, kinds), told(stored), lines)
-
-            yield f"{what}, {FORMATS[order].removeprefix('binary_')}.ply", typed_as
+        yield f"{what}.ply", typed_as
     yield from headers()
     yield from elements()
     yield from strange_rows()
@@ -221,51 +217,40 @@ def headers() -> Iterator[Case]:
         "more spaces": lambda text: text.replace(b"property float", b"property   float "),
         "spaces at the ends": lambda text: text.replace(b"\nproperty", b" \nproperty"),
     }  # fmt: skip
-    for (what, change), order in itertools.product(changes.items(), FORMATS):
+    for what, change in changes.items():
 
-        def changed(change=change, order=order) -> Strange:
+        def changed(change=change) -> Strange:
             values = columns(1)
-            return Strange(header(ply(values, order), change), held_by(values))
+            return Strange(header(ply(values), change), held_by(values))
 
-        yield f"{what}, {FORMATS[order].removeprefix('binary_')}.ply", changed
+        yield f"{what}.ply", changed
 
 
 def elements() -> Iterator[Case]:
-    for order in FORMATS:
-        where = FORMATS[order].removeprefix("binary_")
+    def beside() -> Strange:
+        """As SHARP writes it: matrices and a colour space after the vertices."""
+        values = columns(0)
+        more = [("extrinsic", np.eye(4).ravel(), "f4"), ("image_size", np.array([640, 480]), "u4")]
+        more += [("color_space", np.array([1]), "u1"), ("version", np.array([1, 5, 0]), "u1")]
+        after = tuple(element(name, {name: column}, {name: kind}, "<") for name, column, kind in more)
+        return Strange(ply(values, after=after), held_by(values))
 
-        def beside(order=order) -> Strange:
-            """As SHARP writes it: matrices and a colour space after the vertices."""
-            values = columns(0)
-            more = [("extrinsic", np.eye(4).ravel(), "f4"), ("image_size", np.array([640, 480]), "u4")]
-            more += [("color_space", np.array([1]), "u1"), ("version", np.array([1, 5, 0]), "u1")]
-            after = tuple(element(name, {name: column}, {name: kind}, order) for name, column, kind in more)
-            return Strange(ply(values, order, after=after), held_by(values))
+    def before() -> Strange:
+        values, camera = columns(2), {"fx": np.array([500.0]), "fy": np.array([501.0])}
+        return Strange(ply(values, "", before=(element("camera", camera, {}, ""),)), held_by(values))
 
-        def behind(order=order) -> Strange:
-            values, camera = columns(2), {"fx": np.array([500.0]), "fy": np.array([501.0])}
-            return Strange(ply(values, order, before=(element("camera", camera, {}, order),)), held_by(values))
+    def faces() -> Strange:
+        face = ("element face 1\nproperty list uchar int vertex_indices\n", struct.pack("<Biii", 3, 0, 1, 2))
+        return Strange(ply(columns(0), after=(face,)), held_by(columns(0)))
 
-        def faces(order=order) -> Strange:
-            values, count = columns(0), struct.pack((order or "<") + "Biii", 3, 0, 1, 2)
-            face = ("element face 1\nproperty list uchar int vertex_indices\n", count if order else b"3 0 1 2\n")
-            return Strange(ply(values, order, after=(face,)), held_by(values))
-
-        yield f"elements after, {where}.ply", beside
-        yield f"elements before, {where}.ply", behind
-        yield f"faces, {where}.ply", faces
-
-    def trailing() -> Strange:
-        values = columns(1)
-        return Strange(ply(values) + b"\0" * 100, held_by(values))
-
-    yield "bytes behind the end.ply", trailing
+    yield "elements after.ply", beside
+    yield "elements before, ascii.ply", before
+    yield "faces.ply", faces
+    yield "bytes behind the end.ply", lambda: Strange(ply(columns(1)) + b"\0" * 100, held_by(columns(1)))
 
 
 def strange_rows() -> Iterator[Case]:
-    path_free = "{total} Gaussians are left out ({what})"
-
-    def changed(change: Callable[[dict[str, Array]], object], what: str = "", kinds: str = "f4", order: str = "<"):
+    def changed(change: Callable[[dict[str, Array]], object], what: str = ""):
         def make() -> Strange:
             values = columns(1)
             change(values)
@@ -281,8 +266,8 @@ def strange_rows() -> Iterator[Case]:
             kept = np.logical_and.reduce([(np.abs(column) < largest).all(1) for column in sound])
             kept &= values["opacity"] != -INF
             lost = COUNT - int(kept.sum())
-            line = path_free.format(total=f"{lost} of {COUNT}", what=what) if lost else what
-            return Strange(ply(values, order, dict.fromkeys(values, kinds)), held.rows(kept), (line,) if line else ())
+            line = f"{lost} of {COUNT} Gaussians are left out ({what})" if lost else what
+            return Strange(ply(values), held.rows(kept), (line,) if line else ())
 
         return make
 
@@ -313,9 +298,8 @@ def strange_rows() -> Iterator[Case]:
         "position of 1e6 in single": (put("x", 1e6, slice(None)), ""),
         "everything at one place": (lambda v: [put(axis, 1.0, slice(None))(v) for axis in "xyz"], ""),
     }
-    for (what, (change, line)), (kind, order) in itertools.product(table.items(), (("f4", "<"), ("f8", ">"))):
-        where = "double, big endian" if kind == "f8" else "float"
-        yield f"{what}, {where}.ply", changed(change, line, kind, order)
+    for what, (change, line) in table.items():
+        yield f"{what}.ply", changed(change, line)
 
     def opposite() -> Strange:
         values = columns(1)
@@ -459,14 +443,11 @@ def compressed() -> Iterator[Case]:
         data = head.encode() + b"end_header\n" + b"".join(data for _, data in parts)
         return Strange(data, opaque)
 
-    for degree, (order, where) in itertools.product(range(4), FORMATS.items()):
-        where = where.removeprefix("binary_")
-        yield f"degree {degree}, {where}.compressed.ply", lambda d=degree, o=order: packed(d, order=o)
-        yield (
-            f"degree {degree}, colours to 1, {where}.compressed.ply",
-            lambda d=degree, o=order: packed(d, order=o, bounded=False),
-        )
-    for count in (1, 255, 256, 257, 512):
+    for degree in range(4):
+        yield f"degree {degree}.compressed.ply", lambda degree=degree: packed(degree)
+    yield "colours to 1.compressed.ply", lambda: packed(1, bounded=False)
+    yield "big endian.compressed.ply", lambda: packed(1, order=">")
+    for count in (1, 257):
         yield f"{count} rows.compressed.ply", lambda count=count: packed(1, count)
     for how in ("constant", "edges", "shuffled"):
         yield f"{how}.compressed.ply", lambda how=how: packed(2, how=how)
@@ -597,10 +578,9 @@ def spzs() -> Iterator[Case]:
         head = head[:15] + struct.pack("<BI12x", len(streams), 32)
         return Strange(head + table + b"".join(short) + behind, held)
 
-    for version, degree in itertools.product((1, 2, 3, 4), range(5)):
-        if degree < 4 or version == 4:
-            yield f"version {version}, degree {degree}.spz", lambda v=version, d=degree: packed(v, d)
-    for bits in (0, 5, 18, 23):
+    for version, degree in ((1, 1), (2, 2), (3, 0), (3, 3), (4, 0), (4, 4)):
+        yield f"version {version}, degree {degree}.spz", lambda v=version, d=degree: packed(v, d)
+    for bits in (0, 23):
         yield f"{bits} fractional bits.spz", lambda bits=bits: packed(2, 1, bits=bits)
     for how in ("with a name", "in parts", "padded"):
         yield f"gzip {how}.spz", lambda how=how: packed(3, 1, how=how)
@@ -616,10 +596,9 @@ def spzs() -> Iterator[Case]:
 
 
 def sogs() -> Iterator[Case]:
-    def webp(pixels: Array, kind: str = "WEBP") -> bytes:
+    def webp(pixels: Array) -> bytes:
         stream = io.BytesIO()
-        image = Image.fromarray(pixels.astype("u1"))
-        image.save(stream, "WEBP", lossless=True, exact=True) if kind == "WEBP" else image.save(stream, kind)
+        Image.fromarray(pixels.astype("u1")).save(stream, "WEBP", lossless=True, exact=True)
         return stream.getvalue()
 
     def archived(degree: int, *, how: str = "", version: int = 2, centroids: int = 70) -> Strange:
@@ -629,7 +608,7 @@ def sogs() -> Iterator[Case]:
 
         def image(values: Array) -> bytes:
             pixels = np.concatenate([values, draw.integers(0, 256, (rows - COUNT, values.shape[1]))])
-            return webp(pixels.reshape(height, width, -1), "PNG" if how == "png" else "WEBP")
+            return webp(pixels.reshape(height, width, -1))
 
         words = draw.integers(0, 65536, (COUNT, 3))
         low, high = draw.normal(-1, 0.1, 3), draw.normal(1, 0.1, 3)
@@ -677,23 +656,20 @@ def sogs() -> Iterator[Case]:
             else:
                 meta["shN"] |= {"mins": -1.5, "maxs": 1.5, "quantization": 8}
                 rest = -1.5 + 3 * table[labels] / 255
-        if how == "antialiased":
-            meta |= {"antialias": True, "asset": {"generator": "splat-transform"}}
         held = Held(
             np.sign(far) * np.expm1(np.abs(far)), turns, scales, opacities, np.concatenate([constant[:, None], rest], 1)
         )
         stream, inside = io.BytesIO(), "scene/" if how == "in a folder" else ""
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED if how == "deflated" else zipfile.ZIP_STORED) as archive:
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
             for name, data in {"meta.json": json.dumps(meta).encode(), **files}.items():
                 archive.writestr(zipfile.ZipInfo(inside + name), data)
         return Strange(stream.getvalue(), held)
 
-    for version, degree in itertools.product((1, 2), range(4)):
+    for version, degree in ((1, 1), (2, 0), (2, 3)):
         yield f"version {version}, degree {degree}.sog", lambda v=version, d=degree: archived(d, version=v)
-    for how in ("png", "padded", "deflated", "antialiased", "in a folder"):
+    for how in ("padded", "in a folder"):
         yield f"{how}.sog", lambda how=how: archived(1, how=how)
-    for centroids in (1, 64, 300):
-        yield f"{centroids} centroids.sog", lambda centroids=centroids: archived(2, centroids=centroids)
+    yield "300 centroids.sog", lambda: archived(2, centroids=300)
 
 
 # KSPLAT
@@ -757,11 +733,10 @@ def ksplats() -> Iterator[Case]:
         means, turns, scales, opacities, harmonics = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         return Strange(data, Held(means, turns, scales, opacities, harmonics))
 
-    for level, degree in itertools.product(range(3), range(4)):
+    for level, degree in ((0, 0), (0, 2), (1, 1), (2, 2)):
         yield f"level {level}, degree {degree}.ksplat", lambda level=level, degree=degree: packed(level, degree)
-    for level in (0, 1):
-        yield f"two sections, level {level}.ksplat", lambda level=level: packed(level, 1, sections=2)
-        yield f"room for more, level {level}.ksplat", lambda level=level: packed(level, 1, room=7)
+    yield "two sections.ksplat", lambda: packed(1, 1, sections=2)
+    yield "room for more.ksplat", lambda: packed(1, 1, room=7)
     yield "more buckets.ksplat", lambda: packed(2, 1, partial=True)
 
     def cut() -> Strange:
@@ -773,100 +748,3 @@ def ksplats() -> Iterator[Case]:
     yield "cut.ksplat", cut
     yield "version 1.ksplat", lambda: Strange(b"\1" + packed(0, 0).data[1:], "version 1")
     yield "no rows.ksplat", lambda: Strange(b"\0\1".ljust(4096, b"\0"), "it has no Gaussians")
-
-
-# GLB
-
-
-def glbs() -> Iterator[Case]:
-    stem = "KHR_gaussian_splatting"
-
-    def held(degree: int) -> Held:
-        return held_by(columns(degree))
-
-    def packed(degree: int, how: str = "") -> Strange:
-        scene, views, accessors, binary = held(degree), [], [], bytearray()
-        kinds = {"f4": 5126, "i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123}
-
-        def accessor(values: Array, kind: str = "f4") -> int:
-            """Numbers as float32, or in [-1, 1] as normalised integers."""
-            top = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
-            stored = np.round(values * top).astype(f"<{kind}") if kind != "f4" else values.astype("<f4")
-            padded = np.zeros(
-                (len(stored), -(-stored.shape[1] * stored.itemsize // 4) * 4 // stored.itemsize), stored.dtype
-            )
-            padded[:, : stored.shape[1]] = stored
-            view: dict[str, Any] = {"buffer": 0, "byteOffset": len(binary), "byteLength": padded.nbytes}
-            views.append(view | ({"byteStride": padded.strides[0]} if padded.shape != stored.shape else {}))
-            binary.extend(padded.tobytes())
-            entry = {"bufferView": len(views) - 1, "count": len(values), "componentType": kinds[kind]}
-            accessors.append(
-                entry
-                | {"type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[stored.shape[1]]}
-                | ({"normalized": True} if kind != "f4" else {})
-            )
-            values[:] = stored / top
-            return len(accessors) - 1
-
-        unit = scene.rotations / np.linalg.norm(scene.rotations, axis=1, keepdims=True)
-        xyzw = unit[:, [1, 2, 3, 0]]
-        alpha = scene.opacities[:, None].copy()
-        kind = how if how in kinds else "f4"
-        attributes = {
-            "POSITION": accessor(scene.means),
-            f"{stem}:ROTATION": accessor(xyzw, {"u1": "i1", "u2": "i2"}.get(kind, kind)),
-            f"{stem}:SCALE": accessor(scene.scales),
-            f"{stem}:OPACITY": accessor(alpha, {"i1": "u1", "i2": "u2"}.get(kind, kind)),
-        }
-        index = 0
-        for band in range(degree + 1):
-            for order in range(2 * band + 1):
-                attributes[f"{stem}:SH_DEGREE_{band}_COEF_{order}"] = accessor(scene.harmonics[:, index])
-                index += 1
-        if how == "colours beside":
-            attributes["COLOR_0"] = accessor(np.ones((COUNT, 4)), "u1")
-        kernel: dict[str, Any] = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
-        if how != "least of what must be":
-            kernel |= {"sortingMethod": "cameraDistance", "projection": "perspective"}
-        node: dict[str, Any] = {"mesh": 0}
-        means, turns, scales = scene.means, xyzw[:, [3, 0, 1, 2]], scene.scales
-        if how == "moved":
-            node |= {"translation": [1.0, 2.0, 3.0], "scale": [2.0, 2.0, 2.0]}
-            means, scales = 2 * means + (1, 2, 3), 2 * scales
-        elif how == "matrix":
-            node["matrix"] = [3, 0, 0, 0, 0, 3, 0, 0, 0, 0, 3, 0, 5, 6, 7, 1]
-            means, scales = 3 * means + (5, 6, 7), 3 * scales
-        document: dict[str, Any] = {
-            "asset": {"version": "2.0"}, "extensionsUsed": [stem], "nodes": [node], "scenes": [{"nodes": [0]}],
-            "meshes": [{"primitives": [{"attributes": attributes, "mode": 0, "extensions": {stem: kernel}}]}],
-            "buffers": [{"byteLength": len(binary)}], "bufferViews": views, "accessors": accessors,
-        }  # fmt: skip
-        if how == "scene chosen":
-            document["scene"] = 0
-        elif how == "no scenes":
-            del document["scenes"]
-        elif how == "a mesh beside":
-            document["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]})
-            document["nodes"].append({"mesh": 1})
-            document["scenes"][0]["nodes"].append(1)
-        text = json.dumps(document).encode()
-        text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-        data = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-        held_here = Held(means, turns, scales, alpha[:, 0], scene.harmonics)
-        return Strange(data, "it lacks 'scenes'" if how == "no scenes" else held_here)
-
-    for degree in range(4):
-        yield f"degree {degree}.glb", lambda degree=degree: packed(degree)
-    for how in (
-        "i1",
-        "i2",
-        "colours beside",
-        "least of what must be",
-        "moved",
-        "matrix",
-        "scene chosen",
-        "no scenes",
-        "a mesh beside",
-    ):
-        yield f"{how}.glb", lambda how=how: packed(1, how)

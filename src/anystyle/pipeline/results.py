@@ -18,7 +18,8 @@ from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.pipeline.encode import EncodedCapture
-from anystyle.pipeline.export import export_styles, film
+from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.film import Film
 from anystyle.pipeline.load import LoadedModel
 from anystyle.pipeline.provenance import Entry, without_folders
 from anystyle.pipeline.request import Request
@@ -133,7 +134,7 @@ class Result:
             self._write_renders(folder / "targets", names, followed)
         seen = encoded.photographed and encoded.targets is None
         film = StyledScene(((self.style.title, gaussians),), followed, tuple(names), photographed=seen)
-        results.video.write(film, folder / "video.mp4")
+        results.video.write(film, folder / "video.mp4", results.render_until_given_up)
         cameras, sources = encoded.cameras.to("cpu"), encoded.sources
         write_cameras(folder / "cameras.json", cameras, sources, encoded.offset, encoded.scene_from_known)
         if options.colmap != "none":
@@ -182,7 +183,7 @@ class Results:
             "request": recorded(request) if model.named else None,
             "request_sha256": digest(request) if model.named else None,
         }
-        self.video = film(request.config.video, self._render_until_given_up)
+        self.video = Film(request.video)
         self.given_up = False
         """Whether a film that is being written in a thread will not be needed."""
         self.failed: list[tuple[Path, str]] = []
@@ -190,7 +191,8 @@ class Results:
         self.bug: Exception | None = None
         """The first of these errors that no format should raise."""
 
-    def _render_until_given_up(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+    def render_until_given_up(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """The render of a film, unless it will not be needed."""
         if self.given_up:
             raise KeyboardInterrupt
         return self.encoded.stylizer.render(gaussians, cameras)
