@@ -126,7 +126,7 @@ def test_a_name_means_one_thing():
 
     In the framework and the packages that its users need; programs built on it have words of their own.
     """
-    programs = {paths.PLUGINS / name for name in ("benchmark", "film")}
+    programs = {paths.PLUGINS / name for name in ("benchmark",)}
     meanings: defaultdict[str, dict[str, str]] = defaultdict(dict)
     for path in SHIPPED:
         if programs & {*path.parents}:

@@ -11,6 +11,9 @@ import numpy as np
 import torch
 from torch import nn
 
+from anystyle.contracts import Published
+from anystyle.errors import UserError
+from anystyle.io.checkpoint import load_strictly
 from anystyle.testing.toy.backbone import ToyAdapter, ToyAggregator, ToyBackbone, ToyGaussianHead, ToyGeometryHead
 from anystyle.testing.toy.cameras import ToyCameras
 from anystyle.testing.toy.command import ToyCommand
@@ -103,6 +106,40 @@ class SharedHead(ToyGaussianHead):
         return self
 
 
+class ToyCheckpoints(Published):
+    """Files in which each name stands behind ``net.``."""
+
+    def names(self, keys):
+        return {key: f"net.{key}" for key in keys}
+
+    def config(self, state):
+        self.parts(state)
+        return {"backbone.dim": state["net.embedder.patches.bias"].numel()}
+
+    def parts(self, state):
+        if not any(name.startswith("net.") for name in state):
+            raise UserError("the file is of another network")
+        return {"backbone": True}
+
+    def load(self, part, module, state):
+        load_strictly(module, {name.removeprefix("net."): state[name] for name in state}, source="the file")
+
+
+class Lenient(ToyCheckpoints):
+    def load(self, part, module, state):
+        self.parts(state)
+        module.load_state_dict({name.removeprefix("net."): state[name] for name in state}, strict=False)
+
+
+class Narrow(ToyCheckpoints):
+    def config(self, state):
+        return {"backbone.dim": super().config(state)["backbone.dim"] // 2}
+
+
+def published(checkpoints):
+    return type("Released", (ToyBackbone,), {"__doc__": ToyBackbone.__doc__, "published": checkpoints()})
+
+
 def mix_scenes(tokens):
     return tokens.with_data(tokens.data - 0.5 * tokens.data.mean(0, keepdim=True))
 
@@ -167,6 +204,8 @@ MUTANTS = {
         (backbone("gaussian_head", lambda: SharedHead(dim=12, patch_size=4)), "copies_compute_the_same"),
         (backbone("adapter", changed(ToyAdapter, "forward", scale("opacities", 2.5))), "gaussians_are_renderable"),
         (backbone("adapter", changed(ToyAdapter, "forward", lambda g: g.detach())), "attributes_carry_gradients"),
+        (published(Lenient), "published_weights_load_strictly"),
+        (published(Narrow), "a_published_file_becomes_a_stylizer"),
     ],
     "injector": [
         (Biased, "changes_nothing_at_initialisation"),

@@ -237,7 +237,7 @@ def test_several_styles_share_a_scene_by_place(photographs):
 
 def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog):
     """What Python says attribute by attribute: the colours of one style, the rotations of another."""
-    stylizer = anystyle.load("tiny_paper")
+    stylizer = anystyle.load("tiny")
     styles = anystyle.Places(
         (("dots", Controls(attributes=("color",))), ("hatching", Controls(attributes=("rotation",))))
     )

@@ -23,6 +23,12 @@ class Good(Placement):
 """
 
 
+def test_a_class_has_the_name_that_it_is_registered_by():
+    rows = [row for row in catalog() if row.kind == "backbone"]
+    assert [catalog().name_of("backbone", row.load()) for row in rows] == [row.name for row in rows]
+    assert catalog().name_of("backbone", Placement) == "anystyle.contracts.style.Placement"
+
+
 def test_unknown_names_suggest():
     told = r"no placement is named 'heads'. Did you mean 'head'\? Available: .*full, head"
     with pytest.raises(PluginError, match=told):

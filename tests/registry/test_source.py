@@ -126,7 +126,8 @@ def test_source_lists_the_catalog(composed):
     assert source.list("", None) == source.list("", ObjectType.GROUP) == sorted(groups())
     assert set(KINDS) < set(groups())
     assert source.list("", ObjectType.CONFIG) == []
-    assert {*catalog().names("placement"), "tiny_sites"} <= set(source.list("placement", ObjectType.CONFIG))
+    assert set(catalog().names("placement")) <= set(source.list("placement", ObjectType.CONFIG))
+    assert {*catalog().names("styles"), "procedural_112"} <= set(source.list("styles", ObjectType.CONFIG))
     assert source.list("placement", ObjectType.GROUP) == []
     assert source.is_group("loss") and not source.is_group("lost") and not source.is_group("loss/one")
     assert source.is_config("loss/one") and source.is_config("loss/one.yaml") and not source.is_config("loss")

@@ -68,7 +68,7 @@ def check_scene(backbone: Backbone, scene: Scene, record: Mapping[str, Any]) -> 
     check(scene.geometry.confidence, record["depth_conf"])
     points = scene.geometry.points(pixel_center=0.0)
     check(points, record["points"])
-    assert points.norm(dim=-1).mean().item() == pytest.approx(record["scene_scale"], rel=1e-4)
+    assert points.double().norm(dim=-1).mean().item() == pytest.approx(record["scene_scale"], rel=1e-4)
     assert scene.attributes.confidence is not None and scene.clusters is not None
     check(scene.attributes.confidence, record["fusion_conf"])
     ratio = scene.clusters.means.shape[1] / math.prod(scene.geometry.depth.shape[1:])
@@ -101,7 +101,7 @@ def check_gaussians(
         for name, values in found.items():
             check_moments(values, record["stats"][name])
         if "harmonics_l2" in record["stats"]:
-            norm = gaussians.harmonics[batch, valid].norm().item()
+            norm = gaussians.harmonics[batch, valid].double().norm().item()
             assert norm == pytest.approx(record["stats"]["harmonics_l2"], rel=1e-4)
         samples = record["samples"]
         check_samples(found, rows_of(scene, batch, [sample["voxel"] for sample in samples], voxel_size), samples)

@@ -2,7 +2,7 @@
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar, final
 
 from jaxtyping import Float
@@ -97,6 +97,10 @@ class Published(ABC):
     State dicts have their publishers' names, with or without the prefixes of their file. Every method raises a
     :class:`~anystyle.errors.UserError` where the checkpoint is of another network.
     """
+
+    @abstractmethod
+    def names(self, keys: Iterable[str]) -> dict[str, str]:
+        """For each key of the backbone's state dict, what its publishers call the tensor, without their prefixes."""
 
     @abstractmethod
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:

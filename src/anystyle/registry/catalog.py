@@ -226,9 +226,13 @@ class Catalog:
         raise PluginError(f"_target_ '{path}' is {wrong}")
 
     def name_of(self, kind: str, cls: type) -> str:
-        """The name that a class is registered by; its own where the catalog does not list it."""
-        path = f"{cls.__module__}.{cls.__qualname__}"
-        return next((plugin.name for plugin in self._plugins if (plugin.kind, plugin.path) == (kind, path)), path)
+        """The name that a class is registered by; its path where the catalog does not list it."""
+        for plugin in self._plugins:
+            module, _, qualified = plugin.target.partition(":")  # which may have it from another module
+            with suppress(AttributeError):
+                if plugin.kind == kind and attrgetter(qualified)(sys.modules.get(module)) is cls:
+                    return plugin.name
+        return f"{cls.__module__}.{cls.__qualname__}"
 
 
 def _rows(point: EntryPoint, problems: list[str], origin: str, **options: Any) -> Iterator[Plugin]:

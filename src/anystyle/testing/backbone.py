@@ -1,14 +1,20 @@
 """What a backbone promises: see :class:`anystyle.contracts.Backbone`."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import pytest
 import torch
 from torch import Tensor
 
 from anystyle import contracts
 from anystyle.contracts import Backbone, Published
+from anystyle.errors import UserError
+from anystyle.pipeline.weights import load_reference
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import override
 from anystyle.testing import asserts
 from anystyle.testing.inputs import noise, views
 from anystyle.testing.subject import Subject
@@ -164,6 +170,62 @@ def test_attributes_carry_gradients(plugin: Subject[Backbone]) -> None:
     torch.autograd.backward(outputs, [noise(tensor, seed) for seed, tensor in enumerate(outputs)])
     for name in ("opacity", "scale", "rotation", "color"):
         asserts.gradient(getattr(leaves, name).grad, f"`attributes.{name}`")
+
+
+@torch.no_grad()
+def test_published_weights_load_strictly(plugin: Subject[Backbone]) -> None:
+    """A file in the published layout gives every tensor; one that differs is refused in one line and changes none."""
+    if (published := plugin.instance.checkpoints()) is None:
+        return
+    file, backbone = _published_file(plugin, published), plugin.build(seed=1)
+    name, tensor = next(iter(file.items()))
+    published.load("backbone", backbone, file)
+    asserts.same(backbone.state_dict(), plugin.instance.state_dict(), "weights that were loaded")
+    assert published.parts(file).get("backbone") is True, "`parts` does not say that the file has the whole backbone"
+    _assert_refused(published.load, "backbone", backbone, {key: file[key] for key in file if key != name})
+    _assert_refused(published.load, "backbone", backbone, file | {f"{name}.more": tensor})
+    _assert_refused(published.load, "backbone", backbone, file | {name: torch.cat([tensor, tensor])})
+    for other in ({}, {"of.another.network": tensor}):
+        _assert_refused(published.load, "backbone", backbone, other)
+        _assert_refused(published.config, other)
+        _assert_refused(published.parts, other)
+    asserts.same(backbone.state_dict(), plugin.instance.state_dict(), "weights after files that were refused")
+
+
+@torch.no_grad()
+def test_a_published_file_becomes_a_stylizer(plugin: Subject[Backbone]) -> None:
+    """Options that are read off its shapes build a network that it fits, and one call a stylizer of its weights."""
+    if (published := plugin.instance.checkpoints()) is None:
+        return
+    file, own = _published_file(plugin, published), plugin.instance.state_dict()
+    found = published.config(file)
+    options = {key.removeprefix("backbone."): value for key, value in found.items() if key.startswith("backbone.")}
+    assert options, "`config` reads no option of the backbone off the shapes"
+    state = plugin.cls(**(dict(plugin.options) | options)).state_dict()
+    shapes, expected = ({key: list(tensor.shape) for key, tensor in each.items()} for each in (state, own))
+    assert shapes == expected, f"`config` reads {options} off the shapes of a network of other shapes"
+    name = catalog().name_of("backbone", plugin.cls)
+    if name not in catalog().names("backbone"):
+        return
+    rest = [override(f"backbone.{key}", value) for key, value in plugin.options.items() if key not in options]
+    stylizer = load_reference(file, overrides=[f"backbone={name}", *rest])
+    asserts.same(stylizer.backbone.state_dict(), own, "weights of a stylizer that was made of a file")
+    asserts.finite(
+        stylizer.unstyled(stylizer.encode(_views(plugin))), "Gaussians of a stylizer that was made of a file"
+    )
+
+
+def _published_file(plugin: Subject[Backbone], published: Published) -> dict[str, Tensor]:
+    own = plugin.instance.state_dict()
+    names = published.names(own)
+    assert names.keys() == own.keys(), "`names` leaves out keys of the state dict, or adds some"
+    assert len(set(names.values())) == len(names), "`names` gives two tensors one name"
+    return {names[key]: tensor.clone() for key, tensor in own.items()}
+
+
+def _assert_refused(function: Callable[..., object], *given: object) -> None:
+    with pytest.raises(UserError, match=asserts.ONE_LINE):
+        function(*given)
 
 
 def _views(plugin: Subject[Backbone], *, batch: int = 1, number: int = 2, shape: tuple[int, int] = (3, 3)) -> Views:

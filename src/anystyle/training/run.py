@@ -31,7 +31,7 @@ from anystyle.registry.schema import runtime_arguments
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import bound, exclusive, is_rank_zero, resumable
-from anystyle.training.scene_cache import CachedScenes
+from anystyle.training.scene_cache import with_cache
 from anystyle.training.trainer import check_options, make_trainer
 
 METRICS = "metrics.json"
@@ -77,9 +77,6 @@ def train(
     if not isinstance(config, DictConfig):
         named = {"name": Path(out).absolute().name, "out": str(out)}
         config = compose("train", [*(override(key, value) for key, value in named.items()), *config])
-    if config.pipeline is not None:
-        names = ", ".join(map(str, config.pipeline))
-        raise UserError(f"this experiment is a pipeline; train each of {names}, or run `anystyle train`")
     check_options(config)
     # Before the lock, which would change a folder that may be read-only.
     if not config.fast_dev_run and (outcome := _finished(config, out)) is not None:
@@ -231,7 +228,7 @@ def make_sources(config: DictConfig) -> dict[str, Any]:
         if kind == "styles":
             return build(StyleSource, config[key])
         built, cache = make_scenes(config, key), config.get("cache")
-        return built if cache is None else CachedScenes(built, expanded(cache) / key)
+        return built if cache is None else with_cache(built, expanded(cache) / key)
 
     return {name: source(kind, name) for kind in ("scenes", "styles") for name in (kind, f"validation_{kind}")}
 

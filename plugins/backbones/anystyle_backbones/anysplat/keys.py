@@ -71,6 +71,9 @@ def _branch_name(key: str, layers: list[int]) -> str:
 class AnySplatCheckpoints(Published):
     """AnySplat's file, AnyStyle's checkpoints and VGGT's file."""
 
+    def names(self, keys: Iterable[str]) -> dict[str, str]:
+        return backbone_names(keys)
+
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The tensors under their publishers' names, without the prefixes of their file."""
         bare = {re.sub(r"^(model\.)?encoder\.", "", key): tensor for key, tensor in state.items()}

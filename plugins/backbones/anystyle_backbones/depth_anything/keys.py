@@ -54,6 +54,9 @@ def backbone_names(keys: Iterable[str]) -> dict[str, str]:
 class DepthAnythingCheckpoints(Published):
     """The files of Depth Anything 3 that see several views."""
 
+    def names(self, keys: Iterable[str]) -> dict[str, str]:
+        return backbone_names(keys)
+
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The tensors under their publishers' names, without the prefixes of their file."""
         bare = {key.removeprefix("model."): tensor for key, tensor in state.items()}

@@ -77,6 +77,9 @@ def published_names(keys: Iterable[str], part: str = "backbone") -> dict[str, st
 class Styl3rCheckpoints(Published):
     """The files of WU-CVGL/Styl3R on Hugging Face."""
 
+    def names(self, keys: Iterable[str]) -> dict[str, str]:
+        return published_names(keys)
+
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The tensors under their publishers' names, without the prefix of their file."""
         bare = {key.removeprefix("encoder."): tensor for key, tensor in state.items()}

@@ -48,6 +48,9 @@ def branch_names(keys: Iterable[str]) -> dict[str, str]:
 class StylosCheckpoints(Published):
     """Files of ``from_pretrained`` (``encoder.…``), and Lightning checkpoints (``model.encoder.…``)."""
 
+    def names(self, keys: Iterable[str]) -> dict[str, str]:
+        return backbone_names(keys)
+
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The network's tensors under their first names, without the prefixes of their file.
 

@@ -1,14 +1,16 @@
-"""``model=tiny_paper``: the paper's mechanism with the weights that come along."""
+"""``model=tiny``: the paper's mechanism with the weights that come along, taught by Magenta's pictures first."""
 
 import logging
 
 import pytest
 import torch
+import torch.nn.functional as F
 
 import anystyle
 from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose
 from anystyle.testing.inputs import images
+from anystyle_magenta.teacher import Teacher
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 
 TEXTS = ("shades of red", "shades of blue")
@@ -16,7 +18,7 @@ TEXTS = ("shades of red", "shades of blue")
 
 @pytest.fixture(scope="module")
 def stylizer():
-    return anystyle.load("tiny_paper")
+    return anystyle.load("tiny")
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +34,7 @@ def test_it_is_the_papers_mechanism_and_trained(stylizer, caplog):
     copied = zip(stylizer.branch.gaussian_head.parameters(), stylizer.backbone.gaussian_head.parameters(), strict=True)
     assert all(not copy.equal(original) for copy, original in copied if original.numel() > 100)
     with caplog.at_level(logging.WARNING):
-        assemble(compose("stylize", ["model=tiny_paper"]))
+        assemble(compose("stylize", ["model=tiny"]))
     assert caplog.records == []
 
 
@@ -55,3 +57,12 @@ def test_texts_and_pictures_turn_a_scene_to_their_colours(stylizer, scene):
                 getattr(styled, name).equal(getattr(unstyled, name)) for name in ("means", "scales", "opacities")
             )
             assert sign * (redness(styled) - before) > 0.05
+
+
+@torch.no_grad()
+def test_a_scene_in_a_style_is_nearer_to_what_the_teacher_paints_than_the_plain_scene(stylizer, scene):
+    style = images(1, (112, 112), seed=4) * torch.tensor([1.0, 0.5, 0.2]).view(3, 1, 1)
+    target = Teacher().stylized(scene.views.images, style)
+    styled, plain = stylizer.restyle(scene, stylizer.embed(image=style)), stylizer.unstyled(scene)
+    near, far = (float(F.l1_loss(stylizer.render(each, scene.cameras).color, target)) for each in (styled, plain))
+    assert near < 0.5 * far
