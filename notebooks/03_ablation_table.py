@@ -45,13 +45,13 @@ short = f"trainer.max_steps={STEPS} training.pool=2 scenes.num_scenes=2 training
 
 # %% [markdown]
 # ## Judge all of them
-# One protocol for every row: the same held-out scene in the same styles, each given once as text and once as an image.
-# The scores are the similarity of a render's embedding to the style's, and how well depth survives.
+# One protocol for every row: the same held-out scene in the same styles, each given as a text.
+# The score is the similarity of a render's embedding to the style's.
 
 # %%
-scenes = "scenes=procedural scenes.split=heldout scenes.size=112 protocol.num_scenes=1 protocol.num_views=2"
+scenes = "scenes=procedural scenes.split=heldout scenes.size=112 protocol.num_scenes=1 protocol.frames=2"
 styles = "styles=procedural styles.split=heldout styles.size=96 protocol.num_styles=2"
-# !anystyle evaluate --run table protocol=guides {scenes} {styles} metric=[clip_style,depth_agreement] >judge.log 2>&1
+# !anystyle evaluate --run table protocol=paper_text {scenes} {styles} metric=[clip_style] >judge.log 2>&1
 
 # %% [markdown]
 # ## The table

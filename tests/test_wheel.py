@@ -42,7 +42,7 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
     paths = [*(ROOT / "conf").rglob("*.yaml"), *ROOT.glob("plugins/*/pyproject.toml"), *assets.iterdir()]
     parts = [path.relative_to(ROOT).as_posix() for path in paths]
     files = ("magenta/LICENSE", "magenta/NOTICE", "magenta/anystyle_magenta/conf/model/painter.yaml")
-    files += ("tiny/anystyle_tiny/procedural/phrases.toml", "cpu_renderer/anystyle_cpu_renderer/renderer.py")
+    files += ("tiny/anystyle_tiny/procedural/words.toml", "cpu_renderer/anystyle_cpu_renderer/renderer.py")
     assert {f"anystyle/_shared/{part}" for part in [*parts, *(f"plugins/{file}" for file in files)]} <= {*names}
     assert any(name.startswith("anystyle/assets/") and name.endswith(".safetensors") for name in names)
     assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc"))]

@@ -23,9 +23,9 @@ TERMS = {
         "no_style_loss": {"content", "clip_directional", "clip_patch", "depth_consistency"},
     },
     "tiny_style": {
-        "base": {"sliced_wasserstein", "luminance", "clip_directional"},
-        "no_clip_loss": {"sliced_wasserstein", "luminance"},
-        "no_style_loss": {"luminance", "clip_directional"},
+        "base": {*PAPER, "teacher", "sliced_wasserstein", *SMOOTH},
+        "no_clip_loss": {"teacher", "content", "style", "depth_consistency", "sliced_wasserstein", *SMOOTH},
+        "no_style_loss": PAPER - {"style"} | {"teacher"} | SMOOTH,
     },
     "tiny_ablation": {
         "base": {*PAPER, "sliced_wasserstein", *SMOOTH},
@@ -37,12 +37,13 @@ TABLE = f"ablation={','.join(ROWS)}"
 # The tiny recipe on a still smaller network, from its initialisation.
 SMALL = [word for word in BACKBONE if not word.startswith(("backbone=", "renderer="))]
 FEW_STEPS = (
-    *SMALL, "experiment=tiny_style", "trainer.max_steps=2", "scenes.size=28",
-    "scenes.num_scenes=2", "styles.num_styles=1", "styles.size=28", "training.batch_size=1", "training.pool=2",
-    "training.cache_scenes=2", "training.warmup=1", "training.preview_every=0", "hydra.sweep.dir=sweep",
+    *SMALL, "experiment=tiny_ablation", "trainer.max_steps=2", "scenes.size=28",
+    "scenes.num_scenes=2", "styles.num_styles=1", "styles.size=28", "training.pool=2", "training.cache_scenes=2",
+    "training.warmup=1", "hydra.sweep.dir=sweep", "loss.content.network=texture", "loss.style.network=texture",
+    "loss.content.layers=[relu3_1]", "loss.style.layers=[relu1_1,relu2_1]", "loss.clip_patch.crop_size=14",
 )  # fmt: skip
 # Rows that style geometry differ only where style enters before the attributes part.
-SITES = "placement.patterns=[aggregator/*,head/direct,color]"
+SITES = ("placement=sites", "placement.patterns=[aggregator/*,head/direct,color]")
 
 
 @pytest.fixture(autouse=True)
@@ -89,7 +90,7 @@ def test_one_term_is_left_out_by_its_name_alone():
 
 @pytest.mark.slow
 def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(capfd):
-    multirun(TABLE, SITES)
+    multirun(TABLE, *SITES)
     shown = capfd.readouterr()
     assert shown.out.count("2 steps done; branch.safetensors in ") == len(ROWS)
     branches = [load_file(weights_of(job)) for job in range(len(ROWS))]
@@ -102,7 +103,7 @@ def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(cap
     for file in (last(1), weights_of(1), weights_of(3)):
         file.unlink()
     before = [checkpoint.stat().st_mtime_ns if checkpoint.is_file() else 0 for checkpoint in map(last, range(5))]
-    multirun(TABLE, SITES)
+    multirun(TABLE, *SITES)
     # Job 1 has lost its checkpoint and is trained again; job 3 has its checkpoint and only writes its weights.
     again = [last(job).stat().st_mtime_ns != before[job] for job in range(len(ROWS))]
     assert again == [False, True, False, False, False]
@@ -131,7 +132,7 @@ def test_placements_are_swept_by_name():
 
 @pytest.mark.slow
 def test_low_rank_updates_alone_learn_where_the_copies_do_not():
-    multirun("injector=lora,film", SITES, "training.learn_copies=false", "export.half=false")
+    multirun("injector=lora,film", *SITES, "training.learn_copies=false", "export.half=false")
     lora, film = (load_file(weights_of(job)) for job in range(2))
     copies = [key for key in lora if key.startswith("gaussian_head.")]
     assert copies

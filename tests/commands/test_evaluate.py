@@ -167,7 +167,7 @@ def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
         folder = tmp_path / "sweep" / str(number)
         folder.mkdir(parents=True)
         shutil.copy(weights_file("tiny_branch"), folder / "branch.safetensors")
-        bound = {"weights.backbone": "tiny_backbone", "weights.style_encoder": "tiny_style_encoder", "seed": 0}
+        bound = {"weights.backbone": "tiny_backbone", "seed": 0}
         (folder / "bound.json").write_text(json.dumps(bound))
     words = ["protocol.num_styles=1", "protocol.num_scenes=1", "protocol.frames=1", *TOY]
     words += ["scenes=procedural", "scenes.size=112", "scenes.views=2", "styles=procedural", "styles.size=48"]

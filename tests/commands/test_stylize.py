@@ -127,26 +127,17 @@ def test_a_browser_opens_where_there_is_a_display(tmp_path, display):
     assert not display or (tmp_path / "opened").read_text() == (tmp_path / "page.html").as_uri() + "\n"
 
 
-def test_styles_that_move_gaussians_share_the_file_of_a_format_that_holds_them(photographs, tmp_path):
+def test_styles_that_move_gaussians_have_a_page_each(photographs, tmp_path):
     for name, color in (("red", (200, 30, 30)), ("blue", (30, 30, 200))):
         Image.new("RGB", (40, 30), color).save(tmp_path / f"{name}.png")
     images = ("--image", tmp_path / "red.png", "--image", tmp_path / "blue.png")
     words = ("method=optimize", "loss=[total_variation]", "method.num_steps=1", "method.means_lr=0.1")
-    run(photographs, *images, "--export", "html,glb,usd,lod", "--out", tmp_path / "out", *words, *SMALL)
-    names = {str(path.relative_to(tmp_path / "out")) for path in tmp_path.glob("out/**/scene.*[lbd]")}
-    own = {f"{folder}/scene.{kind}" for folder in ("01-red", "02-blue") for kind in ("html", "lod")}
-    assert names == {"scene.glb", "scene.usd"} | own
-    for name in ("scene.glb", "scene.usd"):
-        styles = dict(read_saved(tmp_path / "out" / name).styles)
-        assert list(styles) == ["unstyled", "red", "blue"]
-        assert not torch.equal(styles["red"].means, styles["unstyled"].means)
-
-
-def test_a_style_that_moves_gaussians_lies_beside_the_unstyled_scene(photographs, tmp_path):
-    Image.new("RGB", (40, 30), (200, 30, 30)).save(tmp_path / "red.png")
-    words = ("method=optimize", "loss=[total_variation]", "method.num_steps=1", "method.means_lr=0.1")
-    run(photographs, "--image", tmp_path / "red.png", "--export", "glb", "--out", tmp_path / "out", *words, *SMALL)
-    assert [title for title, _ in read_saved(tmp_path / "out" / "scene.glb").styles] == ["unstyled", "red"]
+    run(photographs, *images, "--export", "html", "--out", tmp_path / "out", *words, *SMALL)
+    pages = {str(path.relative_to(tmp_path / "out")) for path in tmp_path.glob("out/**/scene.html")}
+    assert pages == {"01-red/scene.html", "02-blue/scene.html"}
+    styles = dict(read_saved(tmp_path / "out").styles)
+    assert list(styles) == ["unstyled", "red", "blue"]
+    assert not torch.equal(styles["red"].means, styles["unstyled"].means)
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -160,13 +151,13 @@ def test_what_a_format_cannot_write_is_told_and_all_else_is_kept(photographs, tm
     monkeypatch.setattr(Html, "write", refuse)
     monkeypatch.setattr(Splat, "write", lacking)
     texts = ("--text", "dots", "--text", "stripes")[: 2 * count]
-    line = fails(capsys, photographs, *texts, "--export", "html,splat,glb", "--out", tmp_path / "out", *SMALL)
+    line = fails(capsys, photographs, *texts, "--export", "html,splat,spz", "--out", tmp_path / "out", *SMALL)
     out, folders = tmp_path / "out", [""] if count == 1 else ["01-dots/", "02-stripes/"]
     missing = [f"{folder}scene.splat: an extra is missing" for folder in folders]
     assert all(f" {part}; " in line for part in (*missing, "scene.html: no room for it"))
     assert line.endswith(f"not written, and all else is in {out}")
     names = {str(path.relative_to(out)) for path in out.rglob("scene.*")}
-    assert names == {"scene.glb", *(f"{folder}scene.{kind}" for folder in folders for kind in ("ply", "safetensors"))}
+    assert names == {f"{folder}scene.{kind}" for folder in folders for kind in ("ply", "safetensors", "spz", "spz.txt")}
     assert (out / "report.json").is_file() and (out / "sheet.png").is_file()
 
 
@@ -189,7 +180,7 @@ def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_b
     original = Stylizer.encode
     monkeypatch.setattr(Stylizer, "encode", lambda self, views: encoded.append(1) or original(self, views))
     title = "a, 'b' = \"c\"\nd {x: [1, 2]} ${y}"
-    words = ["--text", title, "--image", tmp_path / "Red Painting.jpg", "--export", "spz,glb,html"]
+    words = ["--text", title, "--image", tmp_path / "Red Painting.jpg", "--export", "spz,html"]
     out, again = tmp_path / "out", tmp_path / "again"
     run(photographs, *words, "--out", out, *SMALL)
     assert len(encoded) == 1
@@ -198,12 +189,12 @@ def test_several_styles_share_one_encoding_and_the_same_command_gives_the_same_b
     assert 0 < share < 1 and share == pytest.approx(seconds["write"] / sum(seconds.values()), abs=1e-3)
     told = f"{sum(seconds.values()):.0f} s, {share:.0%} of them for files; look at {out / 'scene.html'}"
     assert told in capsys.readouterr().out.splitlines()[-1]
-    # The page and GLB hold all styles; a file with room for one lies in the folder of each.
+    # The page holds all styles; a file with room for one lies in the folder of each.
     names = {str(path.relative_to(out)) for path in out.rglob("scene.*")}
     first, second = "01-a-b-c-d-x-1-2-y", "02-red-painting"
     assert {path.name for path in out.iterdir() if path.is_dir()} == {first, second}
-    assert {f"{first}/scene.spz", f"{second}/scene.spz", "scene.html", "scene.glb"} <= names
-    assert not {f"{first}/scene.html", f"{first}/scene.glb", "scene.spz", "scene.ply"} & names
+    assert {f"{first}/scene.spz", f"{second}/scene.spz", "scene.html"} <= names
+    assert not {f"{first}/scene.html", "scene.spz", "scene.ply"} & names
     titles = ["unstyled", f"“{' '.join(title.split())}”", "Red Painting"]
     assert [title for title, _ in read_saved(out).styles] == titles
     manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', (out / "scene.html").read_text(), re.S)[1])

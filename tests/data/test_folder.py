@@ -170,12 +170,8 @@ def test_bad_inputs_end_in_one_line(tmp_path):
         frame.sample_rate = 44100
         for packet in [*stream.encode(frame), *stream.encode()]:
             container.mux(packet)
-    (tmp_path / "web" / "0_0").mkdir(parents=True)
-    (tmp_path / "web" / "lod-meta.json").write_text("{}")
-    Image.new("RGB", (8, 8)).save(tmp_path / "web" / "0_0" / "sh0.webp", lossless=True)
     told = {
         "empty": "no images in the folder",
-        "web": r"is a scene of Gaussians \(lod\)",
         "absent": "no folder, image or video",
         "sound.mp4": "no video in it",
     }

@@ -3,15 +3,12 @@
 import os
 import re
 import shlex
-import signal
 import subprocess
 import sys
-from itertools import product
 from pathlib import Path
 
 import pytest
 
-from anystyle_study.protocol import read_study
 from tests.support import docs_world as world
 from tests.support.docs_cases import (
     ENDS,
@@ -28,7 +25,6 @@ from tests.support.docs_cases import (
     told,
 )
 from tests.support.program import Done, Program
-from tests.support.study_serving import answer, claim, post, token_of
 
 MORE = {
     "docs/add_a_plugin.md": world.of_plugins,
@@ -66,38 +62,15 @@ class Reader:
         if words[0] == "export":
             self.environment |= dict([words[1].split("=", 1)])
             return Done(0, "", "", 0.0)
-        if words[-3:-1] == ["--serve", "--port"]:
-            return self.serves(words)
         if words[0] == "anystyle" and not any(word.startswith("hydra/launcher") for word in words):
-            return self.program(words[1:], folder=self.folder, environment=self.environment)
+            done = self.program(words[1:], folder=self.folder, environment=self.environment)
+            if words[1:3] == ["study", "form"]:
+                world.answer_study(self.folder)
+            return done
         # The jobs of a launcher are processes of their own: what launches them must be the program.
         words = [sys.executable, "-m", *words] if words[0] == "anystyle" else words
         done = subprocess.run(words, capture_output=True, text=True, cwd=self.folder, env=self.environment)
         return Done(done.returncode, done.stdout, done.stderr, 0.0)
-
-    def serves(self, words: list[str]) -> Done:
-        """Serve a study, answer as all its participants do, and interrupt it."""
-        process = subprocess.Popen(
-            [sys.executable, "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            cwd=self.folder, env=self.environment,
-            # A suite in the background ignores interrupts, and so would what it starts.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
-        assert process.stdout is not None
-        first = process.stdout.readline()
-        found = re.search(r"http://[\d.]+:\d+/", first)
-        assert found, first
-        study = read_study(self.folder / "study")
-        for number, participant in enumerate(study.participants):
-            code = participant.id
-            assert claim(found[0], study, code)[0] == 200
-            for entry, question in product(enumerate(participant.order), study.plan.questions):
-                for side in question.sides:
-                    message = answer(study, code, entry[1], question.name, 1 + (number + entry[0]) % 5, side)
-                    assert post(found[0], "answers", message, token_of(code))[0] == 200
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=300)
-        return Done(process.returncode, first + out, err, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from anystyle.registry.compose import compose
 from tests.support.docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
-COMPOSED = ("stylize", "train", "evaluate")
+COMPOSED = ("stylize", "film", "train", "evaluate")
 EARLIER = "experiment=paper_head", "name=x", "out=x"
 PROGRAM = re.compile(r"(srun |\w+=\S+ )*(anystyle|torchrun) ")
 ELSEWHERE = {"add_a_plugin.md": "test_commands.py runs every command on it, on the plugins it shows"}
@@ -147,13 +147,10 @@ def test_command_is_understood(page, line):
     command, *rest = words[1:]
     assert command in available(), f"{page} shows a command that does not exist: {line}"
     if command == "study":
-        if rest:
-            flags, _ = importlib.import_module("anystyle_study.commands").COMMANDS[rest[0]]
-            split(flags(), rest[1:])
+        _study(*rest)
         return
-    if command in ("film", "profile", "start", "view"):
+    if command in ("profile", "start", "view"):
         plugins = {
-            "film": "film.command",
             "profile": "benchmark.command_profile",
             "start": "start.command",
             "view": "viewer.command",
@@ -165,9 +162,6 @@ def test_command_is_understood(page, line):
         if rest:
             split(importlib.import_module(f"anystyle_benchmark.command_{rest[0]}").parser(), rest[1:])
         return
-    if command == "nerfstudio":
-        split(getattr(importlib.import_module("anystyle_formats.nerfstudio.command"), f"{rest[0]}_parser")(), rest[1:])
-        return
     if command == "data":
         assert rest[0] == "check"
         parse(importlib.import_module("anystyle_datasets.command").parser(), rest[1:])
@@ -177,6 +171,15 @@ def test_command_is_understood(page, line):
         _compose(command, module, rest)
     else:
         _plain(command, module, rest)
+
+
+def _study(name=None, *words):
+    commands = importlib.import_module("anystyle_study.commands")
+    if name in commands.COMPOSED:
+        _, rest = split(commands.COMPOSED[name][0](), words)
+        commands.compose_command(name, [word for word in rest if "=" in word])
+    elif name is not None:
+        parse(commands.form_parser(), words)
 
 
 def _compose(command, module, words):

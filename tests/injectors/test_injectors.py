@@ -16,10 +16,9 @@ from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.registry.catalog import catalog
 from anystyle.testing import assert_contract
 from anystyle.types import Tokens
-from anystyle_tiny.hypernetwork import HyperNetwork
 
 DIM, STYLE = 12, 5
-ALL = [AdaLN, CrossAttention, FiLM, HyperNetwork, LoRA, ZeroConv]
+ALL = [AdaLN, CrossAttention, FiLM, LoRA, ZeroConv]
 
 
 def _tokens(batch=2, views=3, special=2, dim=DIM):
@@ -162,24 +161,6 @@ def test_low_rank_update_is_one_of_the_weights_that_read_the_tokens():
     assert torch.linalg.matrix_rank(update) == 3
 
 
-@pytest.mark.parametrize("special", [False, True])
-def test_network_of_a_style_is_the_formula(special):
-    injector = _trained(HyperNetwork, width=3, hidden=7, special_tokens=special)
-    tokens, style = _tokens().to(torch.float64), _style().double()
-    start = 0 if special else tokens.special
-    given = injector(tokens, style).data.detach().numpy()
-    np.testing.assert_array_equal(given[:, :, :start], tokens.data.numpy()[:, :, :start])
-    for scene, vector in enumerate(style):
-        coded = injector.fc(vector)
-        down, offset = np.split(injector.down(coded).detach().numpy(), [2 * DIM * 3])
-        up, scale, shift = np.split(injector.up(coded).detach().numpy(), [3 * DIM, 4 * DIM])
-        x = tokens.data[scene, :, start:].numpy()
-        normed = (x - x.mean((0, 1))) / np.sqrt(x.var((0, 1)) + 1e-3)
-        hidden = np.maximum(np.concatenate([x, normed], -1) @ down.reshape(2 * DIM, 3) + offset, 0)
-        expected = x * (1 + scale) + hidden @ up.reshape(3, DIM) + shift
-        np.testing.assert_allclose(given[scene, :, start:], expected, rtol=1e-11, atol=1e-11)
-
-
 def test_attention_does_different_things_to_different_tokens_and_a_shift_does_not():
     tokens, style = _tokens().to(torch.float64), _style().double()
     for cls, varies in ((CrossAttention, True), (ZeroConv, False)):
@@ -193,7 +174,6 @@ def test_attention_does_different_things_to_different_tokens_and_a_shift_does_no
         ("film", {"hidden": 8, "special_tokens": True}),
         ("ada_ln", {"hidden": 8, "gain": 11.3}),
         ("cross_attention", {"num_tokens": 2, "heads": 1, "special_tokens": True}),
-        ("hypernetwork", {"width": 1, "hidden": 4, "special_tokens": True}),
         ("lora", {"rank": 1, "special_tokens": True}),
         ("lora", {"rank": 500}),
     ],

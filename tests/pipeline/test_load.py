@@ -54,22 +54,22 @@ MIXED = "branch.injectors={aggregator/*:film,head/tokens/?:{lora:{rank:3}},head/
 def test_sites_have_injectors_of_their_own(tmp_path):
     """By patterns, of which the last one that matches counts; a branch's file fits the same ones alone."""
     words = [*UNTRAINED, "placement=full"]
-    stylizer = anystyle.load("tiny_paper", [*words, MIXED])
+    stylizer = anystyle.load("tiny", [*words, MIXED])
     kinds = {site: type(injector).__name__ for site, injector in stylizer.branch.injectors.items()}
     assert kinds == {
         site.name: "FiLM" if site.name.startswith("agg") or site.name == "head/tokens/2" else "LoRA"
         for site in stylizer.backbone.sites
         if site.tapped and site.name != "head/direct"
     } | {"head/direct": "ZeroConv"}
-    config = compose("stylize", ["model=tiny_paper", *words, MIXED])
+    config = compose("stylize", ["model=tiny", *words, MIXED])
     header = branch_header(config, stylizer.branch, {})
     save_part(tmp_path / "branch.safetensors", stylizer.branch, header)
     file = f"weights.branch={tmp_path / 'branch.safetensors'}"
-    again = anystyle.load("tiny_paper", [*words, MIXED, file]).branch.state_dict()
+    again = anystyle.load("tiny", [*words, MIXED, file]).branch.state_dict()
     assert all(torch.equal(again[key], tensor) for key, tensor in stylizer.branch.state_dict().items())
     assert read_header(tmp_path / "branch.safetensors").config["branch"]["injectors"]["head/tokens/2"] == "film"
     with pytest.raises(ValueError, match="does not fit this StyleBranch"):
-        anystyle.load("tiny_paper", [*words, file])
+        anystyle.load("tiny", [*words, file])
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_sites_have_injectors_of_their_own(tmp_path):
 )
 def test_injectors_of_sites_are_checked(given, told):
     with pytest.raises(ValueError, match=told):
-        anystyle.load("tiny_paper", [*UNTRAINED, f"branch.injectors={given}"])
+        anystyle.load("tiny", [*UNTRAINED, f"branch.injectors={given}"])
 
 
 def test_an_injector_may_ask_for_its_site(monkeypatch):
@@ -104,9 +104,9 @@ def test_an_injector_may_ask_for_its_site(monkeypatch):
 
 
 def test_what_is_untrained_is_told(caplog):
-    anystyle.load("tiny_paper")
+    anystyle.load("tiny")
     assert not caplog.records
-    anystyle.load("tiny_paper", UNTRAINED)
+    anystyle.load("tiny", UNTRAINED)
     told = [message.partition(" is untrained")[0] for message in caplog.messages]
     assert told == ["the backbone", "the style branch"]
 

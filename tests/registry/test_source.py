@@ -14,7 +14,7 @@ from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import choices
+from anystyle.registry.compose import VERSION_BASE, choices
 from anystyle.registry.packages import groups
 from anystyle.registry.source import PluginSource, register
 from anystyle.registry.untrusted import check_saved
@@ -59,7 +59,7 @@ def composed(plugin_folder, tmp_path):
     register()
 
     def run(*overrides: str):
-        with initialize_config_dir(str(conf), version_base="1.3"):
+        with initialize_config_dir(str(conf), **VERSION_BASE):
             return compose("config", overrides=list(overrides))
 
     return run
@@ -126,7 +126,8 @@ def test_source_lists_the_catalog(composed):
     assert source.list("", None) == source.list("", ObjectType.GROUP) == sorted(groups())
     assert set(KINDS) < set(groups())
     assert source.list("", ObjectType.CONFIG) == []
-    assert {*catalog().names("placement"), "tiny_sites"} <= set(source.list("placement", ObjectType.CONFIG))
+    assert set(catalog().names("placement")) <= set(source.list("placement", ObjectType.CONFIG))
+    assert {*catalog().names("styles"), "procedural_112"} <= set(source.list("styles", ObjectType.CONFIG))
     assert source.list("placement", ObjectType.GROUP) == []
     assert source.is_group("loss") and not source.is_group("lost") and not source.is_group("loss/one")
     assert source.is_config("loss/one") and source.is_config("loss/one.yaml") and not source.is_config("loss")

@@ -10,6 +10,7 @@ from PIL import Image
 
 from anystyle.types import Gaussians
 from anystyle_datasets.re10k import Re10kScenes
+from anystyle_study.protocol import read_study
 from tests.support.docs_cases import ROOT, blocks
 from tests.support.weights_cases import training_checkpoint
 
@@ -89,6 +90,21 @@ def of_study(folder: Path) -> None:
         for place, name in enumerate(("one/s0", "one/s1", "two/s0", "two/s1")):
             for view in range(3):
                 _picture(folder / "results" / method / name / f"{view}.png", seed=seed + place, shift=view)
+
+
+def answer_study(folder: Path) -> None:
+    """The files that all participants of the folder's study save at the end."""
+    study = read_study(folder / "study")
+    (folder / "answers").mkdir()
+    for number, person in enumerate(study.participants):
+        rows = [
+            {"participant": person.id, "item": item, "question": question.name, "side": side, "score": 1 + place % 5}
+            for place, item in enumerate(person.order, start=number)
+            for question in study.plan.questions
+            for side in question.sides
+        ]
+        saved = {"study": study.id, "participant": person.id, "responses": rows}
+        (folder / "answers" / f"answers-{person.id}.json").write_text(json.dumps(saved))
 
 
 def of_plugins(folder: Path) -> None:

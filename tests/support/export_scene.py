@@ -9,7 +9,7 @@ from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 
 SIZE = (60, 80)
-LEAST = {"ply": 80, "glb": 80, "ksplat": 45, "usdc": 80, "spz": 36, "sog": 34, "splat": 36}
+LEAST = {"ply": 80, "ksplat": 45, "spz": 36, "sog": 34, "splat": 36}
 """PSNR in dB of a picture from the file against one from the scene; quantised formats lose a little."""
 
 

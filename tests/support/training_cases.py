@@ -31,7 +31,7 @@ STYLIZATION = (
     "styles.size=28", "styles.num_styles=1", "training.batch_size=2", "training.context_views=[2,2]",
     "training.spread=any", "training.heights=null", "training.width=null", "training.flip=0.0",
     "training.pool=2", "training.cache_scenes=2", "training.learning_rate=0.0005", "training.warmup=1",
-    "loss=[total_variation,luminance,clip_directional]", "loss.clip_directional.size=null",
+    "loss=[total_variation,edge_aware_smoothness,clip_directional]", "loss.clip_directional.size=null",
 )  # fmt: skip
 
 

@@ -18,11 +18,9 @@ PAPER = (*STYLE, "styles.num_styles=2", "loss.content.network=texture", "loss.st
          "loss.content.layers=[relu3_1]", "loss.style.layers=[relu1_1]", "loss.clip_patch.crops=1")  # fmt: skip
 VALIDATED = ("validation_scenes.num_scenes=2", "validation_scenes.samples=1", "validation_steps=1")
 RECIPES = {
-    "tiny_style": (*STYLE, "styles.num_styles=1"),
+    "tiny_style": PAPER,
     "tiny_reconstruction": (*SCENES, *ONE_SCENE, *VALIDATED),
-    "tiny_paper": PAPER,
     "tiny_ablation": (*PAPER, "cache=null"),
-    "tiny_paper_taught": PAPER,
     "tiny_mechanisms": PAPER,
     "paper_head": (
         *PAPER, "renderer=cpu", "styles=procedural", "style_encoder=tiny", "weights.style_encoder=tiny_style_encoder",
@@ -34,18 +32,15 @@ RECIPES = {
         "weights.style_encoder=tiny_style_encoder", "training.spread=any", "training.heights=[32,32]",
         "training.width=32", *(f"loss.{name}.network=texture" for name in ("content", "style", "identity")),
     ),
-    "tiny_perceptual": (*SCENES, *VALIDATED, "training.batch_size=4", "training.photos=1", "training.pool=8"),
-    "tiny_embedding": (*SCENES, *VALIDATED, "training.batch_size=8", "training.photos=2", "training.pool=16"),
-    "magenta_text": ("training.batch_size=8", "training.pool=16", "styles.num_styles=16", "validation_steps=1"),
 }  # fmt: skip
-SLOW = ("tiny_ablation", "tiny_perceptual", "tiny_paper_taught", "tiny_mechanisms", "tiny_embedding", "magenta_text")
-"""Of equal parts with quicker ones, or without a backbone."""
+SLOW = ("tiny_ablation", "tiny_mechanisms")
+"""Of equal parts with quicker ones."""
 
 
 def test_every_recipe_is_here():
     recipes = {name: read_yaml(path, dict, what="experiment") for name, path in presets("experiment").items()}
-    others = {name for name, recipe in recipes.items() if "backbone" in recipe or "pipeline" in recipe}
-    assert others == {"paper_full", "stylos", "tiny_all"}
+    others = {name for name, recipe in recipes.items() if "backbone" in recipe}
+    assert others == {"paper_full", "stylos"}
     assert RECIPES.keys() == recipes.keys() - others
 
 

@@ -32,7 +32,7 @@ def test_terms_rates_gradients_and_speed_are_logged_to_a_table_and_to_tensorboar
 
     with (tracked / "log" / "version_0" / "metrics.csv").open() as file:
         rows = list(csv.DictReader(file))
-    terms = ("loss", "total_variation", "luminance", "clip_directional", "gradient_norm", "samples")
+    terms = ("loss", "total_variation", "edge_aware_smoothness", "clip_directional", "gradient_norm", "samples")
     names = {*(f"train/{name}" for name in terms), "lr/head", "lr/head injectors"}
     assert names <= set(rows[0])
     columns = {name: [float(row[name]) for row in rows if row[name]] for name in names}

@@ -61,8 +61,8 @@ STATED = {
 """Where both agree."""
 # Of the tiny world, the least that trains.
 TINY = (
-    "experiment=tiny_paper", *BACKBONE[1:], "scenes.num_scenes=2", "scenes.size=28", "scenes.samples=1",
-    "styles.num_styles=2", "styles.size=28", "styles.pictures=0", "training.batch_size=1", "training.pool=2",
+    "experiment=tiny_ablation", *BACKBONE[1:], "scenes.num_scenes=2", "scenes.size=28", "scenes.samples=1",
+    "styles.num_styles=2", "styles.size=28", "training.batch_size=1", "training.pool=2",
     "training.cache_scenes=2", "training.preview_every=0", "cache=null", "loss.content.network=texture",
     "loss.style.network=texture", "loss.content.layers=[relu3_1]", "loss.style.layers=[relu1_1,relu2_1]",
     "loss.clip_patch.crop_size=14", "trainer.max_steps=2",
@@ -94,15 +94,17 @@ def test_a_recipe_leaves_out_what_the_components_do_not_have(name, tmp_path, mon
     for option in ("injector.special_tokens", "placement.direct", "training.alternation", "reduction"):
         assert OmegaConf.select(config, option) == DIFFERENCES[option][name == "published"], option
     # An experiment has the last word.
-    assert config.loss.content.weight == 0.15 and "templates" not in config.style_encoder
+    assert config.loss.content.weight == 0.3 and "templates" not in config.style_encoder
 
 
 @pytest.mark.parametrize("name", ["paper", "published"])
-@pytest.mark.parametrize("words", ["styles=folder", "style_encoder=clip", "model=tiny", "experiment=tiny_perceptual"])
+@pytest.mark.parametrize(
+    "words", ["styles=folder", "style_encoder=clip", "model=tiny", "experiment=tiny_reconstruction"]
+)
 def test_a_recipe_composes_with_whatever_is_chosen(words, name):
     experiment = () if "experiment" in words else ("experiment=paper_head",)
     config = compose("train", [*experiment, words, f"recipe={name}", "name=x", "out=x"])
-    assert objective(config).keys() == (set() if "perceptual" in words else recipe(name).loss.keys())
+    assert objective(config).keys() == (set() if "reconstruction" in words else recipe(name).loss.keys())
     if words == "style_encoder=clip":
         assert value_of(config, "style_encoder.templates") == ("none", "small")[name == "published"]
 

@@ -10,7 +10,6 @@ from safetensors.torch import load_file
 
 import anystyle
 from anystyle.contracts import Backbone
-from anystyle.errors import UserError
 from anystyle.io.checkpoint import load_part, read_header
 from anystyle.registry.build import build
 from anystyle.training import run as module
@@ -69,12 +68,6 @@ def test_a_run_leaves_torch_as_it_was(tmp_path):
             assert torch.are_deterministic_algorithms_enabled() == enabled
     finally:
         torch.use_deterministic_algorithms(before)
-
-
-def test_a_pipeline_is_not_one_training(tmp_path):
-    with pytest.raises(UserError, match=r"a pipeline; train each of tiny_\w+, .*, or run `anystyle train`"):
-        anystyle.train(["experiment=tiny_all"], tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("how", "step"), [("signal", 3), pytest.param("failure", 5, marks=pytest.mark.slow)])

@@ -4,7 +4,6 @@ import base64
 import gzip
 import html
 import json
-from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from io import BytesIO
 from math import sqrt
@@ -45,51 +44,36 @@ class Html(Format):
 
     def write(self, scene: StyledScene, path: Path) -> None:
         blob, packing, entries = _packed([scene.splats(index) for index in range(len(scene.styles))])
-        page = page_of(scene, packing, entries, data=base64.b64encode(gzip.compress(blob, mtime=0)).decode())
+        for (title, _), entry in zip(scene.styles, entries, strict=True):
+            entry["title"] = title
+            if title in scene.pictures:
+                entry["picture"] = _small(scene.pictures[title])
+        template, style, script = (
+            (files("anystyle_formats") / "page" / f"page.{kind}").read_text(encoding="utf-8")
+            for kind in ("html", "css", "js")
+        )
+        page = Template(template).substitute(
+            title=html.escape(scene.title or "A scene by anystyle"),
+            style=style,
+            manifest=_script(_manifest(scene) | packing | {"styles": entries, "first": len(entries) - 1}),
+            data=base64.b64encode(gzip.compress(blob, mtime=0)).decode(),
+            script=script,
+        )
         with atomic_path(path) as temporary:
             temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
 
 
-def page_of(
-    scene: StyledScene, packing: Mapping[str, object], entries: Sequence[dict[str, object]], *, data: str = ""
-) -> str:
-    """The page of a scene.
-
-    Args:
-        scene: Gives all but Gaussians: cameras, title, notes, pictures.
-        packing: How ``page.js`` unpacks the Gaussians of all styles.
-        entries: The same of each style.
-        data: The Gaussians; without them the page loads ``lod-meta.json`` beside it.
-    """
+def _manifest(scene: StyledScene) -> dict[str, object]:
+    """What ``page.js`` is told of a scene besides its Gaussians."""
     splats = scene.splats(0)
     cameras = scene.cameras if scene.names else _looking_at(splats.means, splats.opacities)
-    manifest = {
-        **packing,
-        "styles": entries,
+    return {
         "title": scene.title,
         "notes": scene.notes,
-        "first": len(entries) - 1,
         "opening": best_view(splats.means, splats.opacities, cameras),
         "cameras": _cameras(cameras),
         "fade": _fade(scene) if scene.names and scene.photographed else None,
-        "streamed": not data,
     }
-    for (title, _), entry in zip(scene.styles, entries, strict=True):
-        entry["title"] = title
-        if title in scene.pictures:
-            entry["picture"] = _small(scene.pictures[title])
-    template, style, script = (
-        (files("anystyle_formats") / "page" / f"page.{kind}").read_text(encoding="utf-8")
-        for kind in ("html", "css", "js")
-    )
-    return Template(template).substitute(
-        title=html.escape(scene.title or "A scene by anystyle"),
-        policy="" if data else "; connect-src 'self'",
-        style=style,
-        manifest=_script(manifest),
-        data=data,
-        script=script,
-    )
 
 
 def _script(value: object) -> str:

@@ -21,9 +21,9 @@ class Columns(NamedTuple):
     harmonics: Float[np.ndarray, "N K 3"]
 
 
-def columns_of(splats: Splats, dtype: torch.dtype = torch.float64) -> Columns:
-    """The arrays of one scene in a precision."""
-    means, rotations, *rest = (tensor.detach().to("cpu", dtype) for tensor in splats)
+def columns_of(splats: Splats) -> Columns:
+    """The arrays of one scene in float64."""
+    means, rotations, *rest = (tensor.detach().to("cpu", torch.float64) for tensor in splats)
     return Columns(*(tensor.numpy() for tensor in (means, F.normalize(rotations, dim=-1), *rest)))
 
 
@@ -65,22 +65,3 @@ def morton_order(points: Float[np.ndarray, "N 3"]) -> NDArray[np.int64]:
         for axis in range(3):
             code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return np.argsort(code, kind="stable")
-
-
-def cuts(count: int, parts: int) -> NDArray[np.int64]:
-    """Where each of as many even parts of a sequence begins, and the end; every other cut into half as many."""
-    return np.arange(parts + 1) * count // parts
-
-
-def kd_order(points: Float[np.ndarray, "N 3"], depth: int) -> NDArray[np.int64]:
-    """An order in which each of ``cuts(N, 2**depth)`` parts is a cell of a k-d tree.
-
-    Each cell is halved at the median along its longest side.
-    """
-    order = np.arange(len(points))
-    for level in range(depth):
-        bounds = cuts(len(points), 2**level)
-        cell = np.repeat(np.arange(2**level), np.diff(bounds))
-        sides = np.maximum.reduceat(points[order], bounds[:-1]) - np.minimum.reduceat(points[order], bounds[:-1])
-        order = order[np.lexsort((points[order, sides.argmax(1)[cell]], cell))]
-    return order

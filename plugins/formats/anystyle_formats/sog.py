@@ -7,7 +7,7 @@ The format is described in PlayCanvas's user manual (developer.playcanvas.com, "
 import io
 import json
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from math import ceil, isqrt, sqrt
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -43,8 +43,9 @@ class Sog(Format):
         columns = columns_of(scene.splats())
         order = morton_order(columns.means)
         columns = Columns(*(column[order] for column in columns))
-        (shape, images), (colors, more) = encoded_shape(columns), encoded_colors(columns)
-        meta = {"version": 2, "asset": asset(scene.notes), "count": len(order), "antialias": False, **shape, **colors}
+        (shape, images), (colors, more) = _encoded_shape(columns), _encoded_colors(columns)
+        asset = {"generator": "anystyle", "copyright": "\n".join(scene.notes)}
+        meta = {"version": 2, "asset": asset, "count": len(order), "antialias": False, **shape, **colors}
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             for name, data in {"meta.json": json.dumps(meta).encode(), **images, **more}.items():
                 archive.writestr(zipfile.ZipInfo(name), data)
@@ -52,29 +53,23 @@ class Sog(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SOG file") as remarks, zipfile.ZipFile(path) as archive:
             file = next((name for name in archive.namelist() if PurePosixPath(name).name == "meta.json"), "meta.json")
-            meta, (means, *columns) = decoded(lambda name: _member(archive, name), file, path)
+            meta = parse_json(_member(archive, file), dict[str, Any], source=str(path), what="SOG file")
+            means, *columns = _decoded(archive, PurePosixPath(file).parent, meta, path)
             positions, offset = near(means, remarks)
             scene = gaussians(remarks, positions, *columns)
-        return StyledScene(((path.stem, scene),), notes=notes_of(meta), offset=offset)
+            notes = str(meta.get("asset", {}).get("copyright", "")).splitlines()
+        return StyledScene(((path.stem, scene),), notes=tuple(notes), offset=offset)
 
 
-def decoded(member: Callable[[str], bytes], file: str, source: Path) -> tuple[dict[str, Any], Columns]:
-    """The content of ``meta.json``, of either version, and the Gaussians that it describes.
-
-    Args:
-        member: The bytes of a file by its path.
-        file: The path of ``meta.json``, which names images by their paths from its folder.
-        source: What errors name.
-    """
-    folder = PurePosixPath(file).parent
-    meta = parse_json(member(file), dict[str, Any], source=str(source), what="SOG file")
+def _decoded(archive: zipfile.ZipFile, folder: PurePosixPath, meta: Mapping[str, Any], source: Path) -> Columns:
+    """The Gaussians that ``meta.json``, of either version, describes; its images are in the same folder."""
     # Version 1 has the count in the shape of the means, and no codebooks.
     count = room_for(source, meta["count"] if "count" in meta else meta["means"]["shape"][0])
 
     def pixels_of(part: str, file: int = 0, rows: int | None = count) -> NDArray[np.int64]:
         """Pixels in RGBA, in a grid where the number of rows is not given: rows 4."""
         name = meta[part]["files"][file]
-        with opened(member(str(folder / name)), f"{source}: {name}") as image:
+        with opened(_member(archive, str(folder / name)), f"{source}: {name}") as image:
             require_pixels(image, 1 << 16)
             pixels = np.asarray(image.convert("RGBA")).astype(np.int64)
         if rows is None:
@@ -91,27 +86,17 @@ def decoded(member: Callable[[str], bytes], file: str, source: Path) -> tuple[di
     alpha = color[:, 3] / 255
     if not meta["sh0"].get("codebook"):
         alpha = 1 / (1 + np.exp(-_between(meta["sh0"], color / 255)[:, 3]))
-    harmonics = _decoded(meta["sh0"], color)[:, None, :3]
+    harmonics = _leveled(meta["sh0"], color)[:, None, :3]
     if meta.get("shN") is not None:
         label, book = pixels_of("shN", 1), pixels_of("shN", rows=None)
         # A row of pixels has 64 centroids, their coefficients side by side.
-        centroids = _decoded(meta["shN"], book[..., :3]).reshape(-1, book.shape[1] // 64, 3)
+        centroids = _leveled(meta["shN"], book[..., :3]).reshape(-1, book.shape[1] // 64, 3)
         harmonics = np.concatenate([harmonics, centroids[label[:, 0] | label[:, 1] << 8]], 1)
-    scales = np.exp(_decoded(meta["scales"], pixels_of("scales")[:, :3]))
-    return meta, Columns(np.sign(far) * np.expm1(np.abs(far)), wxyz, scales, alpha, harmonics)
+    scales = np.exp(_leveled(meta["scales"], pixels_of("scales")[:, :3]))
+    return Columns(np.sign(far) * np.expm1(np.abs(far)), wxyz, scales, alpha, harmonics)
 
 
-def notes_of(meta: Mapping[str, Any]) -> tuple[str, ...]:
-    """The notes of a scene that ``asset`` has."""
-    return tuple(str(meta.get("asset", {}).get("copyright", "")).splitlines())
-
-
-def asset(notes: Sequence[str]) -> dict[str, Any]:
-    """What ``asset`` says of a scene's notes."""
-    return {"generator": "anystyle", "copyright": "\n".join(notes)}
-
-
-def encoded_shape(columns: Columns) -> Encoded:
+def _encoded_shape(columns: Columns) -> Encoded:
     """Positions, sizes and rotations of Gaussians in their order."""
     means, rotations, scales, *_ = columns
     positions, low, high = in_words(means)
@@ -131,7 +116,7 @@ def encoded_shape(columns: Columns) -> Encoded:
     return meta, {name: _webp(values, _width(len(means))) for name, values in pictures.items()}
 
 
-def encoded_colors(columns: Columns) -> Encoded:
+def _encoded_colors(columns: Columns) -> Encoded:
     """Colours and opacities of Gaussians in their order."""
     harmonics, width = columns.harmonics, _width(len(columns.means))
     book, index = codebook(harmonics[:, 0])
@@ -160,7 +145,7 @@ def _between(part: Mapping[str, Any], values: NDArray[np.float64]) -> NDArray[np
     return low + (high - low) * values
 
 
-def _decoded(part: Mapping[str, Any], index: NDArray[np.int64]) -> NDArray[np.float64]:
+def _leveled(part: Mapping[str, Any], index: NDArray[np.int64]) -> NDArray[np.float64]:
     """Levels of an attribute: of its codebook, or evenly spaced between its bounds."""
     return np.array(part["codebook"])[index] if part.get("codebook") else _between(part, index / 255)
 

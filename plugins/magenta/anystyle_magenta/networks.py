@@ -196,10 +196,3 @@ class TextTower(nn.Module):
         mean = (words * present[..., None]).sum(1) / count.sqrt()
         highest = words.masked_fill(~present[..., None], -torch.inf).amax(1)
         return self.mean + self.head(torch.cat([mean, highest], dim=-1)) @ self.axes
-
-    @torch.no_grad()
-    def fit_axes(self, vectors: Float[Tensor, "N 100"]) -> None:
-        """Set mean and principal axes, each as long as the standard deviation along it, from example style vectors."""
-        self.mean.copy_(vectors.mean(0))
-        variances, axes = torch.linalg.eigh(torch.cov(vectors.double().T))
-        self.axes.copy_((axes * variances.clamp_min(0).sqrt()).T)

@@ -17,9 +17,8 @@ from anystyle.vision import weights
 from anystyle_magenta.pretrained import GUESSES, SENTENCES
 
 ASSETS = Path(__file__).parent / "assets"
-SHARPNESS, RIDGE, NEARNESS = 6.0, 0.3, 20.0
-"""Scales of the kernel, the regression and the neighbours, chosen by cross-validation on two thirds of ``meanings.txt``
-and by a third of the synonyms among the tests; they matter little."""
+SHARPNESS, NEARNESS = 6.0, 20.0
+"""Scales of the kernel and of the neighbours, for which the regression was fitted; they matter little."""
 
 
 class SentenceNetwork:
@@ -84,32 +83,11 @@ class Guesses:
 
     def __call__(self, sentences: Float[Tensor, "M 384"]) -> Float[Tensor, "M 100"]:
         """Style vectors of sentences."""
-        regressed = _kernel(sentences, self.known) @ self.coefficients - self.average
+        kernel = torch.exp(SHARPNESS * (sentences @ self.known.T - 1))
+        regressed = kernel @ self.coefficients - self.average
         nearest = torch.softmax(NEARNESS * sentences @ self.known.T, dim=-1) @ self.styles
         directions = F.normalize(regressed, dim=-1) + F.normalize(nearest, dim=-1)
         return self.mean + self.distance * F.normalize(directions, dim=-1)
-
-    @classmethod
-    def fit(
-        cls, known: Float[Tensor, "N 384"], styles: Float[Tensor, "N 100"], mean: Float[Tensor, "100"]
-    ) -> "Guesses":
-        """Learn from the sentence vectors and style vectors of known texts; ``mean`` is the style of no text."""
-        kernel = _kernel(known, known).double()
-        offsets = (styles - styles.mean(0)).double()
-        coefficients = torch.linalg.solve(kernel + RIDGE * torch.eye(len(kernel), dtype=kernel.dtype), offsets)
-        average, distance = (kernel @ coefficients).mean(0), offsets.norm(dim=1).mean()
-        return cls(known, offsets.float(), coefficients.float(), average.float(), mean, distance.float())
-
-
-def _kernel(first: Float[Tensor, "M 384"], second: Float[Tensor, "N 384"]) -> Float[Tensor, "M N"]:
-    return torch.exp(SHARPNESS * (first @ second.T - 1))
-
-
-def meanings() -> list[tuple[str, str]]:
-    """Words of ``meanings.txt``, each with what it looks like in words of the text tower."""
-    lines = (ASSETS / "meanings.txt").read_text(encoding="utf-8").splitlines()
-    pairs = (line.split(": ") for line in lines if not line.startswith("#"))
-    return [(word, look) for look, words in pairs for word in words.split(", ")]
 
 
 @cache

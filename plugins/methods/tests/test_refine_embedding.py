@@ -19,7 +19,7 @@ from tests.support.scenes import cameras, gaussians
 
 @pytest.fixture(scope="module")
 def stylizer():
-    return anystyle.load("tiny_paper")
+    return anystyle.load("tiny")
 
 
 def test_the_loss_falls_and_the_branch_stays(stylizer):

@@ -66,40 +66,34 @@ def scale_words(labels: Sequence[str], low: float) -> dict[str, float]:
 
 def given_scale(labels: Sequence[Sequence[str]]) -> Scale:
     """The scale that the lists of ``--labels`` have, which is 1 to the number of their words."""
-    lengths = {len(group) for group in labels if _pairs(group) is None}
-    return Scale(1.0, float(max(lengths))) if lengths and max(lengths) > 1 else Scale()
+    most = max(map(len, labels), default=0)
+    return Scale(1.0, float(most)) if most > 1 else Scale()
 
 
-def given_words(labels: Sequence[Sequence[str]], scales: Collection[Scale]) -> dict[str, float]:
-    """The scores of ``--labels``: each a scale's words from low to high, or ``WORD=SCORE``, such as ``Unsure=NA``."""
-    words: dict[str, float] = {}
+def given_words(labels: Sequence[Sequence[str]], pairs: Sequence[str], scales: Collection[Scale]) -> dict[str, float]:
+    """The scores of ``--labels``, a scale's words from low to high, and of ``--label``, such as ``Unsure=NA``."""
+    found: list[tuple[str, float]] = []
     for group in labels:
-        found = _pairs(group)
-        if found is None:
-            lows = [scale.low for scale in scales if len(scale.levels) == len(group)]
-            found = scale_words(group, lows[0]) if len(set(lows)) == 1 else {}
-            if len(found) < len(group):
-                sizes = " or ".join(dict.fromkeys(str(len(scale.levels)) for scale in scales))
-                raise UserError(
-                    f"--labels {' '.join(map(repr, group))}: expected the {sizes} different words of the scale, from "
-                    "its lowest to its highest answer (--scale LOW HIGH sets another), or WORD=SCORE for each"
-                )
-        for word, value in found.items():
-            if words.setdefault(word, value) != value and not math.isnan(value):
-                raise UserError(f"--labels gives {word!r} the scores {words[word]:g} and {value:g}; expected one")
-    return words
-
-
-def _pairs(group: Sequence[str]) -> dict[str, float] | None:
-    """The scores of words that are all given as ``WORD=SCORE``; ``None`` if they are a list."""
-    found: dict[str, float] = {}
-    for label in group:
-        word, _, text = label.rpartition("=")
+        lows = {scale.low for scale in scales if len(scale.levels) == len(group)}
+        words = scale_words(group, lows.pop()) if len(lows) == 1 else {}
+        if len(words) < len(group):
+            sizes = " or ".join(dict.fromkeys(str(len(scale.levels)) for scale in scales))
+            raise UserError(
+                f"--labels {' '.join(map(repr, group))}: expected the {sizes} different words of the scale, from its "
+                "lowest to its highest answer (--scale LOW HIGH sets another), or --label WORD=SCORE for each"
+            )
+        found += words.items()
+    for pair in pairs:
+        word, _, text = pair.rpartition("=")
         value = AnswerColumn().number(text)
         if not word or value is None:
-            return None
-        found[plain(word)] = value
-    return found
+            raise UserError(f"--label {pair}: expected WORD=SCORE, such as Unsure=NA")
+        found.append((plain(word), value))
+    scores: dict[str, float] = {}
+    for word, value in found:
+        if scores.setdefault(word, value) != value and not math.isnan(value):
+            raise UserError(f"--labels gives {word!r} the scores {scores[word]:g} and {value:g}; expected one")
+    return scores
 
 
 def _joined(cell: str) -> str:

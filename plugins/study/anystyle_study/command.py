@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-from anystyle.cli.arguments import parse, subcommand
+from anystyle.cli.arguments import subcommand
 from anystyle.contracts import Command
 
 SUBCOMMANDS = {
     "design": "from folders of results to a study: sets, positions, orders, pictures",
-    "form": "the page that participants see: one file, or served with answers kept in SQLite",
+    "form": "the page that participants see, as one file that works offline",
     "analyze": "from answers to tests, tables, plots and a report",
     "power": "by simulation: power and false positives of each test, participants needed",
 }
@@ -21,5 +21,4 @@ class StudyCommand(Command):
         if name is not None:
             from anystyle_study.commands import COMMANDS
 
-            flags, run = COMMANDS[name]
-            run(parse(flags(), words[1:]))
+            COMMANDS[name](words[1:])

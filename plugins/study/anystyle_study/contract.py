@@ -154,11 +154,15 @@ class TestResult:
 class StudyTest(Pluggable, ABC):
     """A statistical test of one question.
 
+    An ``alternative``, a ``confidence`` level and a ``seed`` are the same for all tests of an analysis: a constructor
+    that names one of them is given it.
+
     Swapping ours and theirs (negating every deviation) negates the estimate. Answers that do not allow the test, such
     as those of one participant or without any variation, give :meth:`TestResult.untestable`, never an error.
     """
 
     many = True
+    runtime = ("alternative", "confidence", "seed")
     units: ClassVar[tuple[Unit, ...]]
     """Units it is run at; responses are averaged to each before the call."""
 

@@ -40,7 +40,7 @@ class Sources:
 
 def design(sources: Sources, plan: Plan, out: Path) -> Study:
     """Draw a study and write ``study.json``, the pictures and ``balance.md`` into ``out``."""
-    answers = sorted(out.glob("*.sqlite")) if out.is_dir() else []
+    answers = sorted(out.glob("answers*"))
     if answers:
         raise UserError(f"{answers[0]} holds answers to the study that is there; design another one elsewhere")
     results = {name: pictures.find_results(name, folder) for name, folder in sources.methods.items()}

@@ -1,14 +1,11 @@
-"""Tables of text from CSV, JSON and SQLite files, in the encodings and forms that people's programs save."""
+"""Tables of text from CSV and JSON files, in the encodings and forms that people's programs save."""
 
 import csv
 import io
 import json
 import logging
 import re
-import sqlite3
 from collections.abc import Iterable, Sequence
-from contextlib import closing
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,21 +27,17 @@ class Sheet(NamedTuple):
 
 
 def read_sheet(path: Path) -> Sheet:
-    """The table in a CSV, JSON or SQLite file; columns without a name are dropped if they are empty."""
-    content = read_bytes(path, most=_MAX_BYTES, what="table of answers")
+    """The table in a CSV or JSON file; columns without a name are dropped if they are empty."""
+    text = _decoded(read_bytes(path, most=_MAX_BYTES, what="table of answers"), path.name)
+    if not text.strip():
+        raise UserError(f"{path.name} is empty; expected a table with a header")
+    if "\0" in text:
+        raise UserError(f"{path.name} holds binary data; expected CSV or JSON")
     semicolons = False
-    if content.startswith(b"SQLite format 3\0"):
-        names, rows = _sqlite_table(path)
+    if path.suffix.lower() == ".json" or text.lstrip()[0] in "[{":
+        names, rows = _json_table(text, path.name)
     else:
-        text = _decoded(content, path.name)
-        if not text.strip():
-            raise UserError(f"{path.name} is empty; expected a table with a header")
-        if "\0" in text:
-            raise UserError(f"{path.name} holds binary data; expected CSV, JSON or SQLite")
-        if path.suffix.lower() == ".json" or text.lstrip()[0] in "[{":
-            names, rows = _json_table(text, path.name)
-        else:
-            names, rows, semicolons = _csv_table(text, path.name)
+        names, rows, semicolons = _csv_table(text, path.name)
     table = [[str("" if cell is None else cell).strip() for cell in row] for row in rows]
     names = [name.strip() for name in names]
     kept = [index for index, name in enumerate(names) if name or any(row[index] for row in table)]
@@ -106,21 +99,3 @@ def _json_table(text: str, source: str) -> tuple[list[str], Iterable[Sequence[An
     rows = [shared | row for row in fit(head.get("responses"), list[cell], source=source, what=what)]
     names = list(dict.fromkeys(str(name) for row in rows for name in row))
     return names, [[row.get(name) for name in names] for row in rows]
-
-
-def _sqlite_table(path: Path) -> tuple[list[str], list[Sequence[Any]]]:
-    """The table ``responses``, or the first one with participants and items, or with participants."""
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            kinds = "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') ORDER BY name != 'responses', name"
-            tables = [str(name) for (name,) in database.execute(kinds)]
-            for needed, table in product(({"participant", "item"}, {"participant"}), tables):
-                cursor = database.execute('SELECT * FROM "{}"'.format(table.replace('"', '""')))
-                names = [column[0] for column in cursor.description]
-                if needed <= {name.strip().lower() for name in names}:
-                    return names, cursor.fetchall()
-    except (sqlite3.Error, UnicodeError, OverflowError) as error:
-        raise UserError(f"{path.name} is not a readable SQLite file: {error}") from None
-    raise UserError(
-        f"{path.name} has no table with the columns participant, item, question, score; its tables are {tables[:12]}"
-    )

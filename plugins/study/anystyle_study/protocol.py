@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from urllib.parse import urlsplit
 
 import msgspec
 
@@ -81,11 +80,6 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     repeats: int = 0  # attention checks that show a set again with the sides exchanged
     rules: Rules = Rules()  # exclusion rules
     alternative: Alternative = "two-sided"  # of all tests; ``less`` claims that ours is preferred
-    # parameters of the page's address that hold a participant's external id, such as ``PROLIFIC_PID``. If given, the
-    # server assigns participants to slots; otherwise they enter the design's codes
-    id_parameters: tuple[str, ...] = ()
-    completion_url: str = ""  # where participants go at the end; ``{code}`` stands for the code
-    completion_code: str = ""  # shown at the end, once every answer is stored
     image_size: Annotated[int, Range(ge=64, le=4096)] = 512  # longer side of every picture, in pixels
     seed: int = 0  # seed of all draws
 
@@ -107,8 +101,12 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         for name, count in (("degraded", self.degraded), ("repeats", self.repeats)):
             if not 0 <= count <= self.sets // 2:
                 raise UserError(f"{name}={count}; expected 0 to {self.sets // 2}")
-        if self.completion_url and urlsplit(self.completion_url).scheme not in ("http", "https"):
-            raise UserError(f"completion_url={self.completion_url!r}; expected an address that begins with https://")
+
+
+def plan_defaults() -> dict[str, Any]:
+    """The options of a plan with their defaults, as a configuration holds them."""
+    values = ((option, option.default) for option in msgspec.structs.fields(Plan))
+    return {option.name: "???" if option.required else msgspec.to_builtins(value) for option, value in values}
 
 
 def plan_from(options: Mapping[str, Any]) -> Plan:

@@ -1,4 +1,4 @@
-"""Answers from CSV, JSON or SQLite files, one answer per row, as the form stores them or from any other form.
+"""Answers from CSV or JSON files, one answer per row, as the form stores them or from any other form.
 
 The form's answers do not say where ours was; the design does. A table from elsewhere says it in ``ours_is`` (A or B),
 or whose rating it is in ``method`` (ours or theirs).
@@ -25,7 +25,7 @@ REQUIRED = ("participant", "item", "question", "score")  # the columns that ever
 _OPTIONAL = ("study", "side", "ours_is", "method", "scene", "style", "expected", "comparison", "seconds", "comment")
 _BOOKKEEPING = ("time", "session", "device", "revision", "received", "id")
 _KNOWN = frozenset(("", *REQUIRED, *_OPTIONAL, *_BOOKKEEPING))
-_SUFFIXES = (".csv", ".tsv", ".json", ".sqlite", ".sqlite3", ".db")
+_SUFFIXES = (".csv", ".tsv", ".json")
 _Row = dict[str, str]
 
 
@@ -80,7 +80,7 @@ def read_responses(
     """
     files = [file for path in paths for file in _files(path)]
     if not files:
-        raise UserError("no file of responses is given; name CSV, JSON or SQLite files, or a folder of them")
+        raise UserError("no file of responses is given; name CSV or JSON files, or a folder of them")
     tables = {file: _rows(file, wide=wide, columns=columns, study=study) for file in files}
     answers = [answer for file, table in tables.items() for answer in _answers(*table, file.name, study, labels)]
     people = {answer.participant for answer in answers}
@@ -127,9 +127,18 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
             raise UserError(f"{path.name} has the column {duplicates[0]!r} twice; expected each name once")
         lines = enumerate(sheet.rows, start=2)
         table = [{"": f"row {line}"} | dict(zip(names, row, strict=True)) for line, row in lines]
+        if others := [row[""] for row in table if not _is_answer(row)]:
+            told = "%s: %d rows without item, question and score are left out as other trials, such as %s"
+            log.warning(told, path.name, len(others), others[0])
+        table = list(filter(_is_answer, table))
     if not table:
         raise UserError(f"{path.name} holds a header and no answers; expected one answer per row")
     return table, sheet.semicolons
+
+
+def _is_answer(row: _Row) -> bool:
+    """Whether a row is about a set; an experiment's instructions and pauses are rows, too."""
+    return any(row[name] for name in ("item", "question", "score"))
 
 
 def _known_name(name: str) -> str:
@@ -192,7 +201,7 @@ def _unread(rows: Sequence[_Row], name: str, values: Sequence[float | None], sou
     return (
         f"{source}, {strange[0]['']}: {name} is {strange[0][name][:40]!r}; expected a number, a word of the scale "
         f"or an empty cell; without a score are {found}{more}: give the scale's words from its lowest to its highest "
-        "answer, --labels WORD WORD ..., or one by one, --labels WORD=SCORE WORD=NA"
+        "answer, --labels WORD WORD ..., or one by one, --label WORD=SCORE --label WORD=NA"
     )
 
 

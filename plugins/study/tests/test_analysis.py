@@ -183,7 +183,7 @@ def test_a_designed_study_is_undone_and_reported(tmp_path, capsys):
                 score = 3 if (side == "A") == prefers else 2
                 rows.append((designed.id, participant.id, name, "content", side, score, 9))
     path = write_csv(tmp_path / "a.csv", rows, "study,participant,item,question,side,score,seconds")
-    run(path, "--study", tmp_path / "study", "--out", tmp_path / "out", "--test", "crossed_t", "--test", "wilcoxon")
+    run(path, "--study", tmp_path / "study", "--out", tmp_path / "out", "study_test=[crossed_t,wilcoxon]")
     assert "style: " in capsys.readouterr().out
     content = json.loads((tmp_path / "out" / "analysis.json").read_text())
     assert content["questions"]["style"]["mean"] == 2
@@ -265,7 +265,7 @@ def test_p_values_as_people_write_them():
 def test_the_command_writes_everything_twice_the_same(tmp_path):
     path = write_csv(tmp_path / "r.csv", answer_rows(people=10, items=6, questions=("style", "content")))
     for name in ("one", "two"):
-        run(path, "sign_flip.resamples=199", "--out", tmp_path / name)
+        run(path, "study_test.sign_flip.resamples=199", "--out", tmp_path / name)
     names = sorted(path.relative_to(tmp_path / "one").as_posix() for path in (tmp_path / "one").rglob("*.*"))
     assert names == [
         ".anystyle",  # what was written here, so that nothing else is ever replaced
@@ -281,13 +281,27 @@ def test_the_command_writes_everything_twice_the_same(tmp_path):
     assert any("199 sign patterns" in row["method"] for row in tests)
 
 
+def test_hydra_composes_the_tests(tmp_path, capsys):
+    path = write_csv(tmp_path / "r.csv", [(*row[:3], "ABCDE"[row[3] - 1], row[4]) for row in answer_rows()])
+    words = ["study_test=[sign_flip,wilcoxon]", "study_test.sign_flip.resamples=99", "--confidence", 0.9]
+    run(path, *words, "--cfg", "job")
+    shown = capsys.readouterr().out
+    assert "resamples: 99" in shown and "CrossedT" not in shown
+    run(path, "--labels", *"ABCDE", *words, "--out", tmp_path / "out", "--no-report")
+    tests = json.loads((tmp_path / "out" / "analysis.json").read_text())["questions"]["style"]["tests"]
+    assert {row["name"] for row in tests} == {"sign_flip", "wilcoxon"}
+    assert {row["confidence"] for row in tests} == {0.9} and "99 sign patterns" in tests[0]["method"]
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (("nowhere.csv", "--out", "out"), "no table of answers nowhere.csv"),
         (("r.csv", "--out", "out", "--scale", "5", "1"), "scale 5 to 1"),
-        (("r.csv", "--out", "out", "--test", "t_tset"), "t_tset"),
-        (("r.csv", "nothing=1", "--out", "out"), "TEST.OPTION=VALUE"),
+        (("r.csv", "--out", "out", "study_test=[wilcoxn]"), "Did you mean 'wilcoxon'"),
+        (("r.csv", "nothing=1", "--out", "out"), "'nothing' is unknown"),
+        (("r.csv", "study_test.wilcoxon.alternative=less", "--out", "out"), "'alternative' not in 'Wilcoxon'"),
+        (("--out", "out"), "no file of responses is given"),
         (("r.csv", "--out", "out", "--confidence", "95"), "0.95"),
         (("r.csv", "--out", "out", "--margin", "5"), "--margin 5"),
         (("r.csv", "--out", "out", "--margin", "0.1", "--alternative", "less"), "two-sided"),

@@ -2,8 +2,6 @@
 
 import json
 import math
-import sqlite3
-from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -56,10 +54,6 @@ def test_every_format_says_the_same(tmp_path, rows):
     objects = [dict(zip(names, row, strict=True)) for row in rows]
     (tmp_path / "list.json").write_text(json.dumps(objects))
     (tmp_path / "object.json").write_text(json.dumps({"study": "x", "responses": objects}))
-    with closing(sqlite3.connect(tmp_path / "table.sqlite")) as database, database:
-        database.execute("CREATE TABLE notes (text)")
-        database.execute("CREATE TABLE answers (participant, item, question, score INTEGER, ours_is)")
-        database.executemany("INSERT INTO answers VALUES (?, ?, ?, ?, ?)", rows)
     (tmp_path / "tabs.tsv").write_text("\n".join("\t".join(map(str, row)) for row in (names, *rows)))
     write_csv(tmp_path / "more.csv", [(*row, "well") for row in rows], ",".join((*names, "remark")))
     (tmp_path / "people").mkdir()
@@ -67,10 +61,45 @@ def test_every_format_says_the_same(tmp_path, rows):
         answers = [dict(zip(names[1:], row[1:], strict=True)) for row in rows if row[0] == person]
         (tmp_path / "people" / f"{person}.json").write_text(json.dumps({"participant": person, "responses": answers}))
     files = sorted(tmp_path.iterdir())
-    assert len(files) == 8
+    assert len(files) == 7
     for file in files:
         assert agree(judged(file)[1], rows), file.name
     assert read_responses([tmp_path / "more.csv"]).unused == ("remark",)
+
+
+JSPSYCH = """\
+"view_history","rt","trial_type","trial_index","plugin_version","time_elapsed","participant","item","question",\
+"ours_is","stimulus","response","score","slider_start","question_order"
+"[{""page_index"":0,""viewing_time"":313}]","313","instructions","0","2.1.0","322","P01","","","","","","","",""
+"","389","html-button-response","1","2.1.0","713","P01","S1","style","A","<p>Which, ""A"" or B?</p>","0","1","",""
+"","67","html-slider-response","2","2.1.0","782","P01","S1","strength","A","How much?","2","2","3",""
+"","197","survey-likert","3","2.2.0","981","P01","S1","content","A","","{""content"":1}","2","","[0]"
+"","49","html-button-response","4","2.1.0","1031","P01","S2","style","B","<p>Which, ""A"" or B?</p>","2","3","",""
+"","69","html-slider-response","5","2.1.0","1101","P01","S2","strength","B","How much?","3","3","3",""
+"","290","survey-likert","6","2.2.0","1392","P01","S2","content","B","","{""content"":2}","3","","[0]"
+"""
+"""As jsPsych 8.3 writes the data of its trials with the properties that docs/user_study.md adds."""
+OTREE = """\
+participant,item,question,score,ours_is
+rv9xh9uy,S1,style,1,A
+rv9xh9uy,S1,content,2,A
+rv9xh9uy,S2,style,3,B
+rv9xh9uy,S2,content,3,B
+rmqh5cxm,S1,style,,B
+"""
+"""As oTree 6.0 writes what the function ``custom_export`` of docs/user_study.md yields."""
+
+
+@pytest.mark.parametrize(("name", "text", "person"), [("jspsych", JSPSYCH, "P01"), ("otree", OTREE, "rv9xh9uy")])
+def test_answers_of_jspsych_and_otree_are_read(tmp_path, caplog, name, text, person):
+    (tmp_path / f"{name}.csv").write_text(text)
+    records = read_responses([tmp_path / f"{name}.csv"])
+    found = {(a.participant, a.item, a.question): (a.score, a.ours_is_a) for a in records.answers if a.score > 0}
+    expected = {("S1", "style"): (1, True), ("S1", "content"): (2, True), ("S2", "style"): (3, False)}
+    expected |= {("S2", "content"): (3, False)}
+    expected |= {("S1", "strength"): (2, True), ("S2", "strength"): (3, False)} if name == "jspsych" else {}
+    assert found == {(person, *key): value for key, value in expected.items()}
+    assert ("1 rows without item, question and score are left out" in caplog.text) == (name == "jspsych")
 
 
 def test_findings_and_exclusions_are_listed(tmp_path):
@@ -139,7 +168,7 @@ METHODS = b"participant,item,question,score,method\n"
         (b"participant,item\0,question", "binary"),
         (b'{"responses": 3}', "list of answers"),
         (b"{nothing", "not a valid list of answers"),
-        (b"SQLite format 3\0 and then nothing of the kind" * 30, "not a readable SQLite file"),
+        (b"SQLite format 3\0 and then nothing of the kind" * 30, "holds binary data; expected CSV or JSON"),
         (b"participant,S1:style,S1:ours_is\nP1,3,A\n", "expected one answer per row, in participant, item, question"),
     ],
 )
@@ -207,20 +236,20 @@ def test_numbers_of_a_column(cells, semicolons, numbers):
 
 def test_words_without_a_score_are_listed_with_what_to_type(tmp_path, rows):
     (tmp_path / "r.csv").write_text(rewritten(rows, lambda score: AB[score - 1] if score != 3 else "Unsure"))
-    with pytest.raises(ValueError, match=r"row \d+: score is .*'Unsure' \(\d+\).*--labels WORD=SCORE WORD=NA$"):
+    with pytest.raises(ValueError, match=r"row \d+: score is .*'Unsure' \(\d+\).*--label WORD=SCORE --label WORD=NA$"):
         judged(tmp_path / "r.csv")
-    words = given_words([[label.lower() for label in AB], ["Unsure=NA", "A is better=2"]], [Scale()])
+    words = given_words([[label.lower() for label in AB]], ["Unsure=NA", "A is better=2"], [Scale()])
     checks, (style, _) = judged(tmp_path / "r.csv", Rules(missing_share=1), labels=words)
     unsure = sum(row[3] == 3 for row in rows)
     assert checks.answers_used == checks.answers_read == len(rows) - unsure
     assert sum(count for counts in checks.missing.values() for count in counts.values()) == unsure
     assert table_of(style) == {key: value for key, value in expected_table(rows).items() if value}
-    for labels in ([AB[:4]], [AB, ["No difference=2"]], [[*AB[:4], AB[0]]]):
-        with pytest.raises(ValueError, match="--labels"):
-            given_words(labels, [Scale()])
+    for labels, pairs in (([AB[:4]], []), ([AB], ["No difference=2"]), ([[*AB[:4], AB[0]]], []), ([], ["Unsure"])):
+        with pytest.raises(ValueError, match="--label"):
+            given_words(labels, pairs, [Scale()])
     assert AnswerColumn().score("5: no difference", words) is None
     assert given_scale([AB * 2]) == Scale(1, 10)
-    assert given_scale([["a=1", "b=9"]]) == Scale()
+    assert given_scale([]) == Scale()
 
 
 def wide_of(rows, heading):
@@ -261,13 +290,6 @@ def test_questions_of_a_form_are_described_by_a_table(tmp_path, rows, caplog):
     assert agree(judged(tmp_path / "w.csv", columns=tmp_path / "key.csv")[1], rows)
     with pytest.raises(ValueError, match=r"no column says which set .* 'Timestamp', .*ITEM:QUESTION.*--columns FILE"):
         read_responses([tmp_path / "w.csv"], wide=True)
-
-
-def test_a_database_without_answers_is_named(tmp_path):
-    with closing(sqlite3.connect(tmp_path / "r.sqlite")) as database:
-        database.execute("CREATE TABLE notes (text)")
-    with pytest.raises(ValueError, match=r"no table with the columns .* \['notes'\]"):
-        judged(tmp_path / "r.sqlite")
 
 
 def test_mixed_scales_are_refused(tmp_path):

@@ -11,12 +11,12 @@ import pytest
 from PIL import Image
 
 from anystyle_study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders
+from anystyle_study.command import StudyCommand
 from anystyle_study.commands import read_plan
 from anystyle_study.design import Sources, balance, design
+from anystyle_study.page import sequence
 from anystyle_study.protocol import Rules, read_study
 from anystyle_study.reading import read_responses
-from anystyle_study.server import sequence
-from anystyle_study.store import Store
 from tests.support.study_cases import QUESTIONS, small_plan, small_study, write_csv, write_results
 
 
@@ -36,8 +36,8 @@ PRINTED = (
 
 def test_the_papers_design(tmp_path):
     """Appendix C: 40 people, 20 sets of three views, a comparison and two ratings; nothing that it does not name."""
-    plan = read_plan(["study=paper", "image_size=64"])
-    assert plan == read_plan(["image_size=64"])
+    plan = read_plan(["study=paper", "study.image_size=64"])
+    assert plan == read_plan(["study.image_size=64"])
     asked = [(one.kind, one.scale.levels, one.sides) for one in plan.questions]
     assert asked == [("comparison", (1, 2, 3, 4, 5), ("",)), ("rating", (1, 2, 3, 4, 5), ("A", "B"))]
     style, content = plan.questions
@@ -45,7 +45,7 @@ def test_the_papers_design(tmp_path):
     assert (content.labels[0], content.labels[-1]) == ("Very difficult", "Very easy")
     assert (style.text, content.text.format(method="A"), content.text.format(method="B")) == PRINTED
     assert plan.alternative == "less"
-    assert (plan.consent, plan.demographics, plan.id_parameters) == ("", (), ())
+    assert (plan.consent, plan.demographics) == ("", ())
     assert plan.rules == Rules(failed_checks=None, missing_share=1, min_seconds=0, fast_share=1)
     study = design(write_results(tmp_path, scenes=5, styles=6, frames=3), plan, tmp_path / "s")
     assert (len(study.participants), len(study.items), len(study.checks)) == (40, 20, 0)
@@ -242,8 +242,8 @@ def test_results_with_too_few_views_are_told(tmp_path):
 
 def test_a_study_with_answers_is_not_replaced(tmp_path):
     study, folder = small_study(tmp_path)
-    Store(study=study, path=folder / "answers.sqlite").close()
-    with pytest.raises(ValueError, match=r"answers.sqlite holds answers to the study that is there"):
+    (folder / "answers-P01.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"answers-P01.json holds answers to the study that is there"):
         design(write_results(tmp_path), small_plan(seed=5), folder)
     assert read_study(folder) == study
 
@@ -263,7 +263,6 @@ def test_a_study_with_answers_is_not_replaced(tmp_path):
         ({"degraded": 3}, "degraded=3; expected 0 to 2"),
         ({"views": 7}, "too many for a grid"),
         ({"rules": {"fast_share": 2.0}}, "<= 1.0 - at 'rules.fast_share'"),
-        ({"completion_url": "javascript:alert(1)"}, "begins with https"),
         ({"participants": "many"}, "Expected 'int', got 'str' - at 'participants'"),
         ({"participant": 40}, "Did you mean 'participants'"),
     ],
@@ -317,8 +316,23 @@ def test_a_damaged_study_is_refused(tmp_path):
 
 
 def test_configurations_are_named(tmp_path):
-    assert read_plan(["study=pilot", "participants=8"]).participants == 8
-    online = read_plan(["study=online", "rules.min_seconds=4"])
-    assert (online.rules.min_seconds, online.pool, online.id_parameters[0]) == (4, 60, "PROLIFIC_PID")
-    with pytest.raises(ValueError, match=r"no study configuration is named 'papper'\. Did you mean 'paper'"):
+    assert read_plan(["study=pilot", "study.participants=8"]).participants == 8
+    online = read_plan(["study=online", "study.rules.min_seconds=4"])
+    assert (online.rules.min_seconds, online.pool, online.views) == (4, 60, 24)
+    with pytest.raises(ValueError, match=r"Could not find 'study/papper'\. Did you mean 'paper'"):
         read_plan(["study=papper"])
+    with pytest.raises(ValueError, match=r"'participant' is unknown\. Did you mean 'participants'"):
+        read_plan(["study.participant=8"])
+
+
+def test_a_plan_of_ones_own_is_a_file_of_the_group(tmp_path, capsys):
+    StudyCommand()(["design", "study=pilot", "study.participants=8", "--cfg", "job", "-p", "study"])
+    shown = capsys.readouterr().out
+    (tmp_path / "myconf" / "study").mkdir(parents=True)
+    (tmp_path / "myconf" / "study" / "mine.yaml").write_text(shown.replace("sets: 6", "sets: 2"))
+    sources = write_results(tmp_path)
+    words = [f"--method={name}={folder}" for name, folder in sources.methods.items()]
+    words += ["--styles", sources.styles, "--contents", sources.contents, "--out", tmp_path / "study"]
+    StudyCommand()(["design", *map(str, words), "-cd", str(tmp_path / "myconf"), "study=mine", "study.image_size=64"])
+    plan = read_study(tmp_path / "study").plan
+    assert (plan.participants, plan.sets, plan.questions) == (8, 2, read_plan(["study=pilot"]).questions)

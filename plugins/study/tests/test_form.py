@@ -1,20 +1,14 @@
-"""The form in a real browser, from the first click to the end; and its server, killed between answers."""
+"""The form in a real browser, from the first click to the saved answers."""
 
 import json
-import os
-import signal
-import sqlite3
 import time
-from contextlib import closing
 
 import pytest
 
-from anystyle_study.command import StudyCommand
+from anystyle_study.page import render, sequence, write_page
 from anystyle_study.reading import read_responses
-from anystyle_study.server import render, sequence, write_page
 from tests.support.browser import wait
 from tests.support.study_cases import LOADED, begin, small_study
-from tests.support.study_serving import answer, kept_answers, post, serving
 
 SCORES = {"style": 5, "contentA": 3, "contentB": 3}
 
@@ -92,146 +86,72 @@ def test_the_static_page_from_first_click_to_saved_answers(page, errors, designe
 
 
 def test_nothing_is_asked_before_every_picture_is_there(page, designed, tmp_path):
-    """Pictures that are blocked keep the set closed; the seconds are counted from when all can be seen."""
+    """Pictures that fail keep the set closed; the seconds are counted from when all can be seen."""
     study, folder = designed
-    with serving(folder, tmp_path / "answers.sqlite") as (_, url, _):
-        page.goto(url)
-        page.route("**/pictures/**", lambda route: route.abort())
-        begin(page, f"{url}?p=P03")
-        wait(page, "!!document.getElementById('again')")
-        blocked = time.monotonic()
-        assert page.evaluate("[...document.querySelectorAll('fieldset')].every((field) => field.disabled)")
-        page.keyboard.press("3")
-        page.click("fieldset[data-question=style] input[value='3']", force=True)
-        assert page.evaluate("document.querySelector('fieldset input:checked')") is None
-        assert page.evaluate("document.getElementById('next').disabled")
-        page.click("#again")
-        wait(page, "!!document.getElementById('again')")
-        time.sleep(1)
-        page.unroute("**/pictures/**")
-        page.click("#again")
-        wait(page, LOADED)
-        assert page.evaluate("[...document.querySelectorAll('img')].every((i) => i.complete && i.naturalWidth > 0)")
-        waited = time.monotonic() - blocked
-        page.keyboard.press("3")
-        given = f"Object.values(JSON.parse(localStorage.getItem('study:{study.id}:P03')).answers)"
-        assert 0 <= page.evaluate(f"{given}[0].seconds") < waited - 1
+    write_page(study, folder, tmp_path / "form.html")
+    page.add_init_script(
+        "const fetched = window.fetch;"
+        "window.fetch = (url) => window.there ? fetched(url) : Promise.reject(new Error('blocked'));"
+    )
+    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P03")
+    wait(page, "!!document.getElementById('again')")
+    blocked = time.monotonic()
+    assert page.evaluate("[...document.querySelectorAll('fieldset')].every((field) => field.disabled)")
+    page.keyboard.press("3")
+    page.click("fieldset[data-question=style] input[value='3']", force=True)
+    assert page.evaluate("document.querySelector('fieldset input:checked')") is None
+    assert page.evaluate("document.getElementById('next').disabled")
+    time.sleep(1)
+    page.evaluate("window.there = true")
+    page.click("#again")
+    wait(page, LOADED)
+    assert page.evaluate("[...document.querySelectorAll('img')].every((i) => i.complete && i.naturalWidth > 0)")
+    waited = time.monotonic() - blocked
+    page.keyboard.press("3")
+    given = f"Object.values(JSON.parse(localStorage.getItem('study:{study.id}:P03')).answers)"
+    assert 0 <= page.evaluate(f"{given}[0].seconds") < waited - 1
 
 
-@pytest.mark.slow
-def test_a_study_survives_its_server_being_killed_between_any_two_answers(page, designed, tmp_path):
-    study, folder = designed
-    database = tmp_path / "answers.sqlite"
-    outbox = f"JSON.parse(localStorage.getItem('study:{study.id}:P01')).outbox"
-    with serving(folder, database) as (process, url, port):
-        begin(page, f"{url}?p=P01")
-        chosen = answer_pages(page, study, "P01", last=2)
-        wait(page, f"{outbox}.length === 0")
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-    # Nobody is stopped, for the next set's pictures are there already; and everybody is told.
-    chosen |= answer_pages(page, study, "P01", first=2, last=3)
-    wait(page, "!document.getElementById('notice').hidden")
-    assert page.evaluate(f"{outbox}.length") == 3
-    with serving(folder, database, port) as (process, _, _):
-        wait(page, "document.getElementById('notice').hidden")
-        if page.evaluate("!!document.getElementById('again')"):
-            page.click("#again")
-        chosen |= answer_pages(page, study, "P01", first=3, last=4)
-        wait(page, f"{outbox}.length === 0")
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-    with serving(folder, database, port) as (_, url, _):
-        # After a reload, the answers so far come from the server.
-        begin(page, f"{url}?p=P01", clear=False)
-        wait(page, "document.getElementById('place').textContent === '5 of 5'")
-        chosen |= answer_pages(page, study, "P01", first=4)
-        wait(page, "!document.getElementById('end')?.disabled")
-        assert kept_answers(database, "P01") == chosen
-        check_positions(study, database, "P01", chosen)
-
-
-def test_a_second_browser_is_told_until_the_code_is_released(page, designed, tmp_path, capsys):
-    study, folder = designed
-    database = tmp_path / "answers.sqlite"
-    with serving(folder, database) as (_, url, _):
-        begin(page, f"{url}?p=P04")
-        chosen = answer_pages(page, study, "P04", last=1)
-        wait(page, f"JSON.parse(localStorage.getItem('study:{study.id}:P04')).outbox.length === 0")
-        begin(page, f"{url}?p=P04")  # what the first browser had kept is not here
-        wait(page, "document.getElementById('codeerror').textContent.includes('another browser')")
-        assert kept_answers(database, "P04") == chosen
-        StudyCommand()(["form", str(folder), "--database", str(database), "--release", "P04"])
-        assert "P04 can go on" in capsys.readouterr().out
-        begin(page, f"{url}?p=P04")
-        wait(page, f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
-        # Another window of this browser was faster with another answer: the page does not go on over it.
-        token = page.evaluate(f"JSON.parse(localStorage.getItem('study:{study.id}:P04')).token")
-        second = study.participant("P04").order[1]
-        assert post(url, "answers", answer(study, "P04", second, score=1), token)[0] == 200
-        page.keyboard.press("5")
-        wait(page, "document.body.innerText.includes('answered in another window')")
-        assert kept_answers(database, "P04")[second, "style", ""] == 1
-        begin(page, f"{url}?p=P04", clear=False)
-        wait(page, f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
-        assert page.evaluate("document.querySelector('fieldset input:checked').value") == "1"
-
-
-@pytest.mark.slow
-def test_recruited_participants_agree_answer_and_go_back_with_a_code(page, tmp_path):
-    """The whole way of one of Prolific's participants: id, consent, demographics, sets, code, and back."""
-    visited = []
-    page.route("https://back.example/**", lambda route: visited.append(route.request.url) or route.fulfill(body="Back"))
+def test_participants_agree_and_say_who_they_are_once(page, tmp_path):
     study, folder = small_study(
         tmp_path,
+        sets=2,
+        degraded=0,
         consent="You may stop at any time.",
         demographics=[
             {"name": "age", "text": "Your age", "choices": ["18 to 30", "older"]},
             {"name": "job", "text": "Your job"},
         ],
-        id_parameters=["PROLIFIC_PID", "workerId"],
-        completion_url="https://back.example/complete?cc={code}",
-        completion_code="C0FFEE",
     )
-    database = tmp_path / "answers.sqlite"
-    with serving(folder, database) as (_, url, _):
-        page.goto(f"{url}?workerId=A1&assignmentId=ASSIGNMENT_ID_NOT_AVAILABLE")
-        assert page.evaluate("document.getElementById('start').disabled")
-        assert "C0FFEE" not in page.evaluate("document.documentElement.outerHTML")
-        begin(page, f"{url}?PROLIFIC_PID=5f1e&STUDY_ID=1&SESSION_ID=2")
-        wait(page, "!!document.getElementById('agree')")
-        assert page.evaluate("document.getElementById('next').disabled")
-        page.click("#agree")
-        page.click("#next")
-        wait(page, "!!document.getElementById('person-age')")
-        page.evaluate("document.getElementById('person-age').value = 'older'")
-        page.click("#next")
-        chosen = answer_pages(page, study, "P01", last=2)
-        wait(page, f"JSON.parse(localStorage.getItem('study:{study.id}:5f1e')).outbox.length === 0")
-        begin(page, f"{url}?PROLIFIC_PID=5f1e", clear=False)  # neither consent nor demographics are asked twice
-        chosen |= answer_pages(page, study, "P01", first=2)
-        wait(page, "!document.getElementById('end')?.disabled")
-        page.click("#comment")
-        page.keyboard.insert_text("Fine.")
+    write_page(study, folder, tmp_path / "form.html")
+    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
+    wait(page, "!!document.getElementById('agree')")
+    assert page.evaluate("document.getElementById('next').disabled")
+    page.click("#agree")
+    page.click("#next")
+    wait(page, "!!document.getElementById('person-age')")
+    page.evaluate("document.getElementById('person-age').value = 'older'")
+    page.click("#next")
+    chosen = answer_pages(page, study, "P01", last=1)
+    page.reload()
+    page.click("#start")  # neither is asked twice
+    chosen |= answer_pages(page, study, "P01", first=1)
+    wait(page, "!!document.getElementById('end')")
+    with page.expect_download() as download:
         page.click("#end")
-        wait(page, "document.getElementById('completion')?.textContent === 'C0FFEE'")
-        wait(page, "document.body.innerText === 'Back'")
-    assert visited == ["https://back.example/complete?cc=C0FFEE"]
-    assert kept_answers(database, "P01") == chosen
-    with closing(sqlite3.connect(database)) as connection:
-        facts = dict(connection.execute("SELECT name, value FROM people WHERE participant = 'P01'").fetchall())
-        comments = connection.execute("SELECT comment FROM responses WHERE comment IS NOT NULL").fetchall()
-    assert comments == [("Fine.",)]
-    assert set(facts) == {"consent", "age"} and facts["age"] == "older"
+    download.value.save_as(file := tmp_path / "answers.json")
+    saved = json.loads(file.read_text())
+    assert set(saved["person"]) == {"consent", "age"} and saved["person"]["age"] == "older"
+    check_positions(study, file, "P01", chosen)
 
 
 def test_the_page_tells_nobody_which_method_is_which(designed):
     study, _ = designed
     pictures = dict.fromkeys(study.pictures, "data:,")
-    for page in (render(study), render(study, pictures)):
-        for word in ("ours", study.ours + '"', "baseline", "degraded", "scene0", "style0", *study.baselines):
-            assert word not in page.partition('id="study">')[2].partition("</script>")[0], word
-        assert "</script> styles" not in page.partition("<script")[2].partition("</script>")[0]
+    page = render(study, pictures)
+    for word in ("ours", study.ours + '"', "baseline", "degraded", "scene0", "style0", *study.baselines):
+        assert word not in page.partition('id="study">')[2].partition("</script>")[0], word
+    assert "</script> styles" not in page.partition("<script")[2].partition("</script>")[0]
     ours, shown = {item.ours for item in study.items}, [sequence(study, one) for one in study.participants]
     first = [entry["A"] in ours for entries in shown for entry in entries]
     assert 0 < sum(first) < len(first)

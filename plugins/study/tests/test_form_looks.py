@@ -2,7 +2,7 @@
 
 import pytest
 
-from anystyle_study.server import write_page
+from anystyle_study.page import write_page
 from tests.support.browser import accessible, phone, wait
 from tests.support.study_cases import AB, LOADED, begin, small_study
 

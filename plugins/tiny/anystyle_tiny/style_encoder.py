@@ -60,11 +60,7 @@ class Tiny(StyleEncoder):
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embeddings of sRGB images of any size; textures and colours are read off copies of 64 and 96 pixels."""
-        return self.from_image_tower(self.image_tower(images))
-
-    def from_image_tower(self, raw: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
-        """Embeddings from the raw vectors of the image tower."""
-        return F.normalize((raw - self.image_mean) @ self.whitening, dim=-1)
+        return F.normalize((self.image_tower(images) - self.image_mean) @ self.whitening, dim=-1)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         return F.normalize((self.text_tower(texts) - self.text_mean) @ self.whitening, dim=-1)
@@ -74,24 +70,8 @@ class Tiny(StyleEncoder):
 
         They are linear in the embedding, and so may lie a little outside [0, 1].
         """
-        return self.palette_head(self.scaled(vectors)).unflatten(-1, (KNOTS, 3))
-
-    @torch.no_grad()
-    def whiten(self, images: Float[Tensor, "N 3 H W"], texts: Sequence[str], *, floor: float = 0.02) -> None:
-        """Fix centres and whitening matrix from examples of both modalities."""
-        raw_images = torch.cat([self.image_tower(batch) for batch in images.split(256)])
-        raw_texts = torch.cat([self.text_tower(texts[at : at + 256]) for at in range(0, len(texts), 256)])
-        self.image_mean.copy_(raw_images.mean(0))
-        self.text_mean.copy_(raw_texts.mean(0))
-        covariance = (torch.cov((raw_images - self.image_mean).T) + torch.cov((raw_texts - self.text_mean).T)) / 2
-        values, axes = torch.linalg.eigh(covariance.double())
-        scale = (values + floor * values[-1]).rsqrt()
-        # The largest direction keeps its length, so that embeddings before and after are of one size.
-        self.whitening.copy_((axes * (scale / scale[-1])) @ axes.T)
-
-    def scaled(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
-        """Unit vectors with elements of about unit size, as linear layers expect them."""
-        return vectors * self.dim**0.5
+        # Elements of about unit size, as linear layers expect them.
+        return self.palette_head(vectors * self.dim**0.5).unflatten(-1, (KNOTS, 3))
 
 
 class ImageTower(nn.Module):
@@ -105,16 +85,11 @@ class ImageTower(nn.Module):
         self.head = nn.Sequential(nn.Linear(pooled + 3 * COLORS, 512), nn.GELU(), nn.Linear(512, dim))
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        return self.join(self.textures(shorter_side(images, SIDE)), colors(images))
-
-    def textures(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C"]:
-        """Mean and deviation of the texture network's features at four scales, of images of the right size."""
-        return torch.cat([pooled_moments(tap.float()) for tap in self.texture(images, TAPS)], dim=-1)
-
-    def join(self, textures: Float[Tensor, "M C"], colors: Float[Tensor, "M knots 3"]) -> Float[Tensor, "M D"]:
-        """Embed images of which the textures and the ramp are known."""
+        # Mean and deviation of the texture network's features at four scales.
+        taps = self.texture(shorter_side(images, SIDE), TAPS)
+        textures = torch.cat([pooled_moments(tap.float()) for tap in taps], dim=-1)
         # Colours are spared the norm: how far they are from grey is what they say.
-        read = torch.cat([self.norm(textures), (colors.flatten(1) - 0.5) * 4], dim=-1)
+        read = torch.cat([self.norm(textures), (colors(images).flatten(1) - 0.5) * 4], dim=-1)
         return F.normalize(self.head(read), dim=-1)
 
 
@@ -131,18 +106,11 @@ class TinyTextTower(nn.Module):
         self.head = nn.Linear(width, dim)
 
     def forward(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """Embed texts; in training they start at a random position, so that all positions are learnt."""
         tokens, present = self.table.read(texts, self.max_words)
-        lengths = present.sum(1)
-        steps = torch.arange(present.shape[1], device=lengths.device).expand_as(present)
-        if self.training:
-            room = self.max_words - lengths
-            start = (torch.rand(len(lengths), device=lengths.device) * (room + 1)).long()
-            steps = (steps + start[:, None]).clamp_max(self.max_words - 1)
-        tokens = tokens + self.positions[steps]
+        tokens = tokens + self.positions[: tokens.shape[1]]
         for block in self.blocks:
             tokens = block(tokens, present)
-        mean = (tokens * present[..., None]).sum(1) / lengths[:, None]
+        mean = (tokens * present[..., None]).sum(1) / present.sum(1, keepdim=True)
         return F.normalize(self.head(self.norm(mean)), dim=-1)
 
 

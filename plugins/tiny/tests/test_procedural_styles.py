@@ -20,7 +20,8 @@ from anystyle_tiny.procedural.styles import ProceduralStyles, is_held_out
 def test_combinations_of_the_splits_are_disjoint():
     def combinations(split):
         source = ProceduralStyles(size=8, split=split)
-        return {(traits.pattern, frozenset(traits.colors)) for traits in map(source.traits, range(500))}
+        drawn = (source._draw(style)[1] for style in range(500))
+        return {(traits.pattern, frozenset(traits.colors)) for traits in drawn}
 
     train, validation, heldout = (combinations(split) for split in ("train", "validation", "heldout"))
     assert not heldout & (train | validation)
@@ -35,7 +36,7 @@ def test_combinations_of_the_splits_are_disjoint():
 @given(st.integers(0, 19999), st.sampled_from(["train", "validation", "heldout"]), st.integers(0, 3))
 def test_a_caption_names_the_colours_and_the_pattern_and_no_other(style, split, seed):
     source = ProceduralStyles(size=8, split=split, seed=seed)
-    text, traits = source.read(style).text[0], source.traits(style)
+    text, traits = source.read(style).text[0], source._draw(style)[1]
     pattern = PATTERNS[traits.pattern]
     assert any(noun in text for noun in WORDS[pattern].nouns)
     for color in traits.colors:
@@ -53,7 +54,7 @@ def test_the_palette_is_what_is_painted():
     """In a crisp print, most pixels lie near a straight line between two colours of the palette or are its shades."""
     source = ProceduralStyles(size=48)
     for style in range(120):
-        traits = source.traits(style)
+        traits = source._draw(style)[1]
         if traits.brushwork != PRINT:
             continue
         pixels = source.read(style).image[0].flatten(1).T
@@ -69,7 +70,7 @@ def test_scales_change_the_grain():
     source = ProceduralStyles(size=48)
     edges = {scale: [] for scale in range(len(SCALES))}
     for style in range(300):
-        traits = source.traits(style)
+        traits = source._draw(style)[1]
         if PATTERNS[traits.pattern] in ("plain", "wash"):
             continue
         image = source.read(style).image[0]

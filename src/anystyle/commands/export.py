@@ -17,7 +17,7 @@ def parser() -> argparse.ArgumentParser:
     add, axes = words.add_argument, ("opencv", "y", "z")
     add("scene", type=Path, help="a file of Gaussians, or a folder of anystyle stylize")
     add("--to", help="the format, one of `anystyle plugins format` (default: the suffix of --out)")
-    add("--out", type=Path, required=True, help="the file to write, or the folder")
+    add("--out", type=Path, required=True, help="the file to write")
     add("--up", choices=axes, help="axes of the file (default: what readers of the format expect)")
     add("--from-up", choices=axes, help="axes of another program's file (default: what it says, or else its format)")
     return words
@@ -27,7 +27,7 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
     """Run the command; overrides are of the options ``splat``."""
     from anystyle.pipeline.export import export_styles
     from anystyle.pipeline.options import SplatOptions
-    from anystyle.pipeline.saved import read_saved, with_stored_cameras
+    from anystyle.pipeline.saved import read_saved
     from anystyle.registry.catalog import catalog
     from anystyle.registry.compose import only_options
 
@@ -43,8 +43,6 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
         )
     splat = only_options("splat", overrides) if overrides else SplatOptions()
     saved = read_saved(arguments.scene, arguments.from_up or splat.up, activated=splat.activated)
-    if catalog().find("format", name).load().needs_cameras:
-        saved = with_stored_cameras(saved, arguments.scene, splat.folder)
     saved = replace(saved, title=arguments.scene.resolve().stem)
     size = export_styles(saved, arguments.out, name, up=arguments.up)
     print(f"{arguments.out}: {size / 1e6:.2f} MB, {saved.styles[-1][0]}")

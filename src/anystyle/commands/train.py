@@ -14,10 +14,8 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.cli.launch import main, returned
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.documents import Figure, as_number, kept_json
 from anystyle.paths import shown
-from anystyle.training.pipeline import train_pipeline
-from anystyle.training.run import METRICS, train
+from anystyle.training.run import train
 
 
 def run(config: DictConfig) -> Any:
@@ -34,12 +32,6 @@ def run(config: DictConfig) -> Any:
 
 def _run(config: DictConfig, out: Path) -> Any:
     check_devices(config)
-    if config.pipeline is not None:
-        weights = train_pipeline(config.pipeline, HydraConfig.get().overrides.task, out)
-        names = ", ".join(path.name for path in weights)
-        print(f"{len(weights)} trainings done; {names} in {shown(weights[0].parent)}")
-        logged = kept_json(out / list(config.pipeline)[-1] / METRICS, dict[str, Figure]) or {}
-        return returned(config.objective, {name: as_number(value) for name, value in logged.items()})
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
 

@@ -10,19 +10,14 @@ from anystyle.types import StyledScene
 
 
 class Format(Pluggable, ABC):
-    """A file format of Gaussian scenes; its name is the suffix of the files.
+    """A file format of Gaussian scenes; its name is the suffix of the files."""
 
-    A constructor that names ``renderer`` is given a function from Gaussians and cameras to renders if there is one.
-    """
-
-    runtime = ("activated", "renderer")
+    runtime = ("activated",)
 
     up: ClassVar[str] = "opencv"
     """Axes of the format's files, unless they say otherwise: ``opencv``, ``y`` or ``z`` up."""
     reads: ClassVar[bool] = False
     """Whether files are read, too."""
-    needs_cameras: ClassVar[bool] = False
-    """Whether a file is made from cameras; those beside a scene's file are found."""
     has_notes: ClassVar[bool] = False
     """Whether a file has room for :attr:`~anystyle.types.StyledScene.notes`."""
     has_offset: ClassVar[bool] = False
@@ -35,11 +30,6 @@ class Format(Pluggable, ABC):
 
     Without any, a style may move Gaussians or add some.
     """
-    index: ClassVar[str] = ""
-    """The file by which a folder is known as a scene of the format; empty where a scene is one file.
-
-    A literal in the class's own body: formats are not imported to look for it.
-    """
 
     @abstractmethod
     def write(self, scene: StyledScene, path: Path) -> None:
@@ -48,7 +38,7 @@ class Format(Pluggable, ABC):
         Args:
             scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible, and its styles
                 have in common what :attr:`shared` names. A format with room for one style takes the last.
-            path: The file, or the folder.
+            path: The file.
 
         Raises:
             UserError: The format cannot hold the scene.

@@ -17,7 +17,6 @@ from PIL import Image
 from anystyle.data import images
 from anystyle.data.names import short_names
 from anystyle.data.poses import readers
-from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io import video
@@ -224,8 +223,6 @@ def files_of(item: Path) -> list[Path]:
     """The files that a folder, a pattern or the name of an example stands for, or the file itself."""
     item = resolved(item)
     if item.is_dir():
-        if name := scene_format(item):  # its pictures may be positions and colours
-            raise UserError(f"{item} is a scene of Gaussians ({name}), and no photographs; name it alone")
         # Captures with cameras keep their photographs in a folder of that name, or where their program puts them.
         found = ((reader, reader.find(item)) for reader in readers())
         places = [reader.photographs(path) for reader, path in found if path is not None]

@@ -2,6 +2,7 @@
 
 import logging
 from pathlib import Path
+from typing import Literal
 
 from PIL import Image
 
@@ -25,16 +26,24 @@ class FolderStyles(StoredStyles):
         root: A folder.
         size: Height and width in pixels.
         captions: A file in ``root``; ``None`` takes :func:`~anystyle.data.captions.captions_file`, if there is one.
+        crop: Which square of an image is taken: the ``centre``, or a ``random`` one at every reading.
     """
 
-    def __init__(self, *, root: str = "styles", size: AtLeastOne = 256, captions: str | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        root: str = "styles",
+        size: AtLeastOne = 256,
+        captions: str | None = None,
+        crop: Literal["centre", "random"] = "centre",
+    ) -> None:
         folder = Path(root)
         if not folder.is_dir():
             raise UserError(f"root={root}: there is no such folder of style images")
         self.paths = readable(image_files(folder))
         if not self.paths:
             raise UserError(f"root={root}: there are no images in it")
-        self.size = size
+        self.size, self.crop = size, crop
         file = captions_file(folder) if captions is None else folder / captions
         self.captions = read_captions(file) if file else {}
         if lost := sorted(self.captions.keys() - {path.name for path in self.paths}):

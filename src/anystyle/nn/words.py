@@ -61,13 +61,3 @@ def hash_words(text: str, *, buckets: int, max_words: int) -> list[tuple[int, ..
         (row(word), *(row(f"#{frame[start : start + 3]}") for start in range(len(frame) - 2)))
         for word, frame in zip(words, framed, strict=True)
     ]
-
-
-def with_made_up_word(text: str, chance: float = 0.2) -> str:
-    """Insert a made-up word with a probability, so that training learns to ignore unknown words."""
-    if torch.rand(()) >= chance:
-        return text
-    letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
-    words = text.split()
-    words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
-    return " ".join(words)

@@ -1,10 +1,8 @@
 """A scene as a file of any format, in the axes that its readers expect."""
 
 import logging
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,8 +13,7 @@ from anystyle.geometry.transforms import Similarity
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
-from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians, Renders, StyledScene
+from anystyle.types import Gaussians, StyledScene
 
 _log = logging.getLogger(__name__)
 _FROM_OPENCV = {
@@ -37,7 +34,7 @@ def export(
 def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None = None) -> int:
     """Write a scene, whole or not at all; if the format has no field for notes, they are in ``NAME.txt`` beside it.
 
-    Returns the size of the file, or of all files of a folder, in bytes.
+    Returns the size of the file in bytes.
 
     ``name`` is a plugin of kind ``format``; ``up`` one of :data:`~anystyle.pipeline.options.AXES`, or ``None`` for what
     readers of the format expect.
@@ -69,13 +66,7 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
         beside.unlink(missing_ok=True)  # an earlier scene's
         if scene.notes:
             beside.write_text("\n".join(scene.notes) + "\n", encoding="utf-8", errors="backslashreplace")
-    return sum(file.stat().st_size for file in (path, *path.rglob("*")) if file.is_file())
-
-
-def film(options: Mapping[str, Any], renderer: Callable[[Gaussians, Cameras], Renders] | None = None) -> Format:
-    """The format of films with options such as ``{"path": "orbit"}``, or with a composed configuration of it."""
-    node = options if "_target_" in options else {"_target_": catalog().find("format", "mp4").path, **options}
-    return build(Format, node, renderer=renderer)
+    return path.stat().st_size
 
 
 def in_axes(up: str, scene: StyledScene) -> StyledScene:
@@ -83,12 +74,17 @@ def in_axes(up: str, scene: StyledScene) -> StyledScene:
     if up == scene.up:
         return scene
     like = scene.styles[0][1].means
-    turn = _from_opencv(up, like).after(_from_opencv(scene.up, like).inverse())
-    styles = tuple((title, turn.gaussians(gaussians)) for title, gaussians in scene.styles)
-    poses = turn.poses(scene.cameras.world_from_camera.to(like))
-    x, y, z = (turn.rotation.double().cpu() @ torch.tensor(scene.offset, dtype=torch.float64) + 0.0).tolist()
+    turned = turn(scene.up, up, like)
+    styles = tuple((title, turned.gaussians(gaussians)) for title, gaussians in scene.styles)
+    poses = turned.poses(scene.cameras.world_from_camera.to(like))
+    x, y, z = (turned.rotation.double().cpu() @ torch.tensor(scene.offset, dtype=torch.float64) + 0.0).tolist()
     cameras = replace(scene.cameras, world_from_camera=poses)
     return replace(scene, styles=styles, cameras=cameras, up=up, offset=(x, y, z))
+
+
+def turn(before: str, after: str, like: Tensor) -> Similarity:
+    """The rotation from coordinates in some axes to those in others."""
+    return _from_opencv(after, like).after(_from_opencv(before, like).inverse())
 
 
 def _from_opencv(up: str, like: Tensor) -> Similarity:

@@ -6,10 +6,11 @@ its own.
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 from anystyle.contracts import Injector
-from anystyle.errors import UserError
+from anystyle.errors import UserError, did_you_mean
 from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Range
 from anystyle.registry.build import choice
@@ -18,6 +19,9 @@ from anystyle.registry.schema import check_fields
 
 AXES = ("opencv", "y", "z")
 """Axes: x right, y down, z forward; x right, y up, z back; x right, y forward, z up. All are right-handed."""
+
+PATHS, MAX_FRAMES = ("smooth", "orbit"), 100_000
+"""Of films."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,42 @@ class SplatOptions:
     def __post_init__(self) -> None:
         _expect("splat.up", str(self.up), ("None", *AXES))
         check_fields(self, "splat")
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """The film of a result.
+
+    Args:
+        path: ``smooth`` is through the cameras, ``orbit`` a circle around what they look at; or a file of a camera path
+            that nerfstudio's viewer wrote.
+        frames: How many frames; ``None`` is 72, or what a file's path lasts.
+        fps: Frames per second.
+        scale: Size of a frame relative to the input views.
+        height: Height of a frame in pixels, instead of the scale.
+        stills: How many frames are also written as JPEG into the folder ``stills``, evenly spaced.
+        turns: Whole circles of ``orbit``, by default 1; less than 1 is a part, and below 0 is the other way.
+        fade: Whether what no photograph shows from about there fades to the background, instead of smearing.
+    """
+
+    path: str = "smooth"
+    frames: Annotated[int, Range(ge=1, le=MAX_FRAMES)] | None = None
+    fps: Annotated[int, Range(ge=1, le=1000)] = 24
+    scale: Annotated[float, Range(ge=0.01, le=8)] = 1.0
+    height: Annotated[int, Range(ge=2, le=4320)] | None = None
+    stills: Annotated[int, Range(ge=0, le=1000)] = 0
+    turns: Annotated[float, Range(ge=-100, le=100)] | None = None
+    fade: bool = True
+
+    def __post_init__(self) -> None:
+        check_fields(self, "video")
+        if self.path not in PATHS and Path(self.path).suffix.lower() != ".json":
+            near = did_you_mean(self.path, PATHS)
+            raise UserError(f"video.path={self.path}; give {', '.join(PATHS)} or a .json file of a camera path.{near}")
+        if self.turns is not None and self.path != "orbit":
+            raise UserError(f"video.turns={self.turns:g} has no meaning with video.path={self.path}; leave it out")
+        if self.turns == 0:
+            raise UserError("video.turns=0; give turns of at most 100 either way, and not 0")
 
 
 def _expect(option: str, value: str, choices: Collection[str]) -> None:

@@ -10,9 +10,9 @@ from omegaconf import DictConfig
 from anystyle.contracts import StyleSource
 from anystyle.errors import UserError
 from anystyle.pipeline.controls import Controls
-from anystyle.pipeline.export import film
+from anystyle.pipeline.film import Film
 from anystyle.pipeline.inputs import GivenInputs, Inputs, check_inputs, inputs_of
-from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
+from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
 from anystyle.pipeline.styles import StyleInput, check_styles
 from anystyle.ranges import checked_seed
 from anystyle.registry.build import build
@@ -78,6 +78,11 @@ class Request:
         return options(self.config, "export")
 
     @property
+    def video(self) -> VideoOptions:
+        """What the film of a result is like."""
+        return options(self.config, "video")
+
+    @property
     def seed(self) -> int:
         """The seed of random numbers."""
         return checked_seed(self.config.seed)
@@ -101,7 +106,7 @@ class Request:
         check_styles(self.all_styles)
         for key in ("views", "splat", "export"):
             options(self.config, key)
-        film(self.config.video)
+        Film(self.video)
         checked_seed(self.config.seed)
 
     def check_inputs(self) -> None:

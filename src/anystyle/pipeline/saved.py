@@ -230,7 +230,7 @@ def made_at(path: Path) -> int | None:
 
 def _reports_of(path: Path) -> Iterator[SavedReport]:
     """The reports of results in a folder, or of those that a file is part of."""
-    if path.is_dir() and scene_format(path) is None:
+    if path.is_dir():
         folders = [path, *sorted(file.parent for file in path.glob("*/report.json"))]
     else:  # a report beside a stranger's file may be of anything
         ours = any((path.parent / name).is_file() for name in ("scene.safetensors", "unstyled.safetensors"))

@@ -33,6 +33,7 @@ OPTIONS = {
     "export": "anystyle.pipeline.options:ExportOptions",
     "splat": "anystyle.pipeline.options:SplatOptions",
     "trainer": "anystyle.training.trainer:TrainerOptions",
+    "video": "anystyle.pipeline.options:VideoOptions",
     "views": "anystyle.pipeline.options:ViewOptions",
 }
 """Dataclasses of options that belong to no plugin, by their key in a configuration: ``options/KEY`` in a defaults list

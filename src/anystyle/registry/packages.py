@@ -23,17 +23,14 @@ def source_file(module: str, root: Path | None) -> Path | None:
     return Path(origin) if origin.endswith(".py") else None
 
 
-def stated(plugin: Plugin, name: str, default: Any = None) -> Any:
-    """A class attribute, read from the class's own body if that states it as a literal.
-
-    Otherwise it is the default; without one, the class is imported for it.
-    """
+def stated(plugin: Plugin, name: str) -> Any:
+    """A class attribute, read from the class's own body if that states it as a literal, else by importing the class."""
     module, _, cls = plugin.target.partition(":")
     with suppress(OSError, SyntaxError, ValueError, ImportError):
         file = source_file(module, plugin.root) if plugin.defined is None else None
         found = {} if file is None else literals(file, cls)
-        if name in found or (file is not None and default is not None):
-            return found.get(name, default)
+        if name in found:
+            return found[name]
     return getattr(plugin.load(), name)
 
 

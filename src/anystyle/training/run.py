@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
+from torch.distributed import DistBackendError
 
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.contracts.training import Training, required
@@ -31,7 +32,7 @@ from anystyle.registry.schema import runtime_arguments
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import bound, exclusive, is_rank_zero, resumable
-from anystyle.training.scene_cache import CachedScenes
+from anystyle.training.scene_cache import with_cache
 from anystyle.training.trainer import check_options, make_trainer
 
 METRICS = "metrics.json"
@@ -77,9 +78,6 @@ def train(
     if not isinstance(config, DictConfig):
         named = {"name": Path(out).absolute().name, "out": str(out)}
         config = compose("train", [*(override(key, value) for key, value in named.items()), *config])
-    if config.pipeline is not None:
-        names = ", ".join(map(str, config.pipeline))
-        raise UserError(f"this experiment is a pipeline; train each of {names}, or run `anystyle train`")
     check_options(config)
     # Before the lock, which would change a folder that may be read-only.
     if not config.fast_dev_run and (outcome := _finished(config, out)) is not None:
@@ -138,6 +136,8 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
         path = None if resumed is None else resumed.path
         try:
             trainer.fit(training, datamodule=data, ckpt_path=path, weights_only=resumed is not None or None)
+        except DistBackendError as error:
+            raise UserError("another process of this training has ended; its own message says why") from error
         except (RuntimeError, KeyError, TypeError, AttributeError) as error:
             if resumed is None or checkpoint.started:
                 raise
@@ -231,7 +231,7 @@ def make_sources(config: DictConfig) -> dict[str, Any]:
         if kind == "styles":
             return build(StyleSource, config[key])
         built, cache = make_scenes(config, key), config.get("cache")
-        return built if cache is None else CachedScenes(built, expanded(cache) / key)
+        return built if cache is None else with_cache(built, expanded(cache) / key)
 
     return {name: source(kind, name) for kind in ("scenes", "styles") for name in (kind, f"validation_{kind}")}
 

@@ -23,6 +23,15 @@ from anystyle.types import Cameras, Clusters, Scene, Views
 logger = logging.getLogger(__name__)
 
 
+def with_cache(source: SceneSource, folder: Path) -> SceneSource:
+    """The source with a cache; itself, with a warning, if its scenes lack cameras or depth, as photographs do."""
+    first = source.read(0, [0])
+    if first.cameras is not None and first.depth is not None:
+        return CachedScenes(source, folder)
+    logger.warning("%s has no cameras or no depth: its scenes are not cached, but read anew each time", source.name(0))
+    return source
+
+
 class CachedScenes(SceneSource):
     """A scene source whose scenes are read from another one once, and from a file of their own after that.
 
@@ -69,7 +78,7 @@ class CachedScenes(SceneSource):
     def _tensors(self, scene: int) -> dict[str, Tensor]:
         views = self.source.read(scene, list(range(self.source.num_views(scene))))
         if views.cameras is None or views.depth is None:
-            raise UserError("only scenes with cameras and depth can be cached; set cache=null")
+            raise UserError(f"{self.name(scene)} has no cameras or no depth and cannot be cached; set cache=null")
         tensors = {
             "images": (views.images[0] * 255.0).round().to(torch.uint8),
             "depth": views.depth[0].half(),

@@ -1,7 +1,7 @@
 """Convolutions of AlexNet and VGG as LPIPS and style losses read them, and the bundled texture network.
 
-The texture network is small and was trained only on procedural patterns (``anystyle train
-experiment=tiny_perceptual``) to tell stripes from dots, mosaics, hatching and strokes, in any colours and scale.
+The texture network is small and was trained only on procedural patterns, to tell stripes from dots, mosaics, hatching
+and strokes, in any colours and scale.
 Stand-ins need it: features of random weights can be matched without any visible pattern.
 """
 

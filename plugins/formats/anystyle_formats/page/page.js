@@ -5,10 +5,9 @@ const element = (id) => document.getElementById(id);
 const scene = JSON.parse(element("manifest").textContent);
 const canvas = element("canvas");
 const ROW = 1024;
-const Y00 = 0.5 / Math.sqrt(Math.PI); // the constant harmonic
 const PAUSE = 4000; // milliseconds between two styles or photographs that are shown in turn
 
-// ---- Unpacking: one part, or those of a streamed scene, each from a row of the textures on -----------------------------
+// ---- Unpacking ----------------------------------------------------------------------------------------------------
 
 async function unpack() {
   const packed = Uint8Array.from(atob(element("data").textContent.trim()), (letter) => letter.charCodeAt(0));
@@ -26,43 +25,41 @@ async function unpack() {
   const scales = take(Uint8Array, 3 * n);
   const opacities = take(Uint8Array, n);
   const shades = scene.styles.map(() => take(Uint8Array, 3 * n));
-  const means = spread(n, scene.low, scene.high, (i, axis) => positions[axis * n + i]), [low, high] = scene.scales;
-  const geometries = rotations.map((packed) => geometry(
-    n, means, (i, q) => quaternion(packed[i] >>> 30, (k) => ((packed[i] >>> (20 - 10 * k)) & 1023) / 1023, q),
-    (i, k) => low + (high - low) * scales[k * n + i] / 255, (i) => opacities[i],
-  ));
-  const part = { row: 0, n, means, geometries, colors: (style) => colored(n, (i, k) => shades[style][k * n + i]) };
-  return { rows: Math.ceil(n / ROW), first: part, shown: () => Uint32Array.from({ length: n }, (_, i) => i), next: () => null };
+  const means = spread(positions), geometries = rotations.map((packed) => geometry(means, packed, scales, opacities));
+  return { n, rows: Math.ceil(n / ROW), means, geometries, colors: (style) => colored(shades[style]) };
 }
 
-function spread(n, low, high, word) {
-  const means = new Float32Array(3 * n);
+function spread(positions) {
+  const n = scene.count, means = new Float32Array(3 * n);
   for (let axis = 0; axis < 3; axis++) {
-    const step = (high[axis] - low[axis]) / 65535;
+    const low = scene.low[axis], step = (scene.high[axis] - low) / 65535;
     for (let i = 0; i < n; i++) {
-      const far = low[axis] + step * word(i, axis);
+      const far = low + step * positions[axis * n + i];
       means[3 * i + axis] = Math.sign(far) * Math.expm1(Math.abs(far));
     }
   }
   return means;
 }
 
-function quaternion(largest, fraction, out) {
-  let rest = 1, j = 0;
+function quaternion(packed, out) {
+  const largest = packed >>> 30;
+  let rest = 1, shift = 20;
   for (let k = 0; k < 4; k++) {
     if (k === largest) continue;
-    out[k] = (fraction(j++) - 0.5) * Math.SQRT2;
+    out[k] = (((packed >>> shift) & 1023) / 1023 - 0.5) * Math.SQRT2;
     rest -= out[k] * out[k];
+    shift -= 10;
   }
   out[largest] = Math.sqrt(Math.max(rest, 0));
 }
 
-function geometry(n, means, turn, size, opacity) {
-  const q = [1, 0, 0, 0], sigma = [0, 0, 0], texels = new Float32Array(4 * 3 * ROW * Math.ceil(n / ROW));
+function geometry(means, rotations, scales, opacities) {
+  const n = scene.count, [low, high] = scene.scales, q = [1, 0, 0, 0], sigma = [0, 0, 0];
+  const texels = new Float32Array(4 * 3 * ROW * Math.ceil(n / ROW));
   for (let i = 0; i < n; i++) {
-    turn(i, q);
+    quaternion(rotations[i], q);
     const [w, x, y, z] = q;
-    for (let k = 0; k < 3; k++) sigma[k] = Math.exp(2 * size(i, k));
+    for (let k = 0; k < 3; k++) sigma[k] = Math.exp(2 * (low + (high - low) * scales[k * n + i] / 255));
     const r = [
       [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
       [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -70,108 +67,32 @@ function geometry(n, means, turn, size, opacity) {
     ];
     const cov = (a, b) => r[a][0] * r[b][0] * sigma[0] + r[a][1] * r[b][1] * sigma[1] + r[a][2] * r[b][2] * sigma[2];
     texels.set([
-      means[3 * i], means[3 * i + 1], means[3 * i + 2], opacity(i) / 255,
+      means[3 * i], means[3 * i + 1], means[3 * i + 2], opacities[i] / 255,
       cov(0, 0), cov(0, 1), cov(0, 2), cov(1, 1), cov(1, 2), cov(2, 2), 0, 0,
     ], 12 * i);
   }
   return texels;
 }
 
-function colored(n, channel) {
-  const texels = new Uint8ClampedArray(4 * ROW * Math.ceil(n / ROW));
-  for (let i = 0; i < n; i++) for (let k = 0; k < 3; k++) texels[4 * i + k] = channel(i, k);
+function colored(shades) {
+  const n = scene.count, texels = new Uint8Array(4 * ROW * Math.ceil(n / ROW));
+  for (let i = 0; i < n; i++) for (let k = 0; k < 3; k++) texels[4 * i + k] = shades[k * n + i];
   return texels;
-}
-
-// ---- Streaming: the coarsest level first, then a finer one of the leaf whose Gaussians are largest on the screen ------
-
-async function get(url) {
-  const answer = await fetch(url);
-  if (!answer.ok) throw new Error(`${url}: ${answer.status} ${answer.statusText}`);
-  return answer;
-}
-
-// The bytes of an image; a 2D canvas would round colours where opacities are small.
-async function pixels(gl, url) {
-  const image = await createImageBitmap(await (await get(url)).blob(), { premultiplyAlpha: "none", colorSpaceConversion: "none" });
-  const texture = gl.createTexture(), frame = gl.createFramebuffer(), bytes = new Uint8Array(4 * image.width * image.height);
-  gl.bindTexture(gl.TEXTURE_2D, texture);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, image);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-  gl.readPixels(0, 0, image.width, image.height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
-  gl.deleteFramebuffer(frame);
-  gl.deleteTexture(texture);
-  return bytes;
-}
-
-async function stream(gl) {
-  if (location.protocol === "file:") throw new Error("This scene is loaded in parts: serve its folder, as with python -m http.server");
-  const index = await (await get("lod-meta.json")).json(), leaves = [], files = [], coarsest = index.lodLevels - 1;
-  const walk = (node) => { if (node.children) node.children.forEach(walk); else leaves.push({ bound: node.bound, ...node.lods, level: coarsest }); };
-  walk(index.tree);
-  for (let level = coarsest; level >= 0; level--) for (const leaf of leaves) (files[leaf[level].file] ??= { level, n: 0 }).n += leaf[level].count;
-  let rows = 0;
-  for (const file of files) { file.row = rows; rows += Math.ceil(file.n / ROW); }
-
-  const open = async (folder, file) => {
-    const url = new URL(folder + index.filenames[file], document.baseURI), meta = await (await get(url)).json();
-    return { meta, image: (part, which = 0) => pixels(gl, new URL(meta[part].files[which], url)) };
-  };
-  const shades = ({ meta: { count, sh0 } }, image) => colored(count, (i, k) => 255 * (0.5 + Y00 * sh0.codebook[image[4 * i + k]]));
-  const load = async (file) => {
-    const whole = await open("", file), { means: bounds, scales, count: n } = whole.meta;
-    const images = [["means", 0], ["means", 1], ["quats"], ["scales"], ["sh0"]];
-    const [low, high, turns, sizes, color] = await Promise.all(images.map((each) => whole.image(...each)));
-    const means = spread(n, bounds.mins, bounds.maxs, (i, axis) => low[4 * i + axis] | high[4 * i + axis] << 8);
-    const geometries = [geometry(
-      n, means, (i, q) => quaternion(turns[4 * i + 3] - 252, (k) => turns[4 * i + k] / 255, q),
-      (i, k) => scales.codebook[sizes[4 * i + k]], (i) => color[4 * i + 3],
-    )];
-    const colors = async (style) => {
-      const { folder } = scene.styles[style], other = folder && await open(folder, file);
-      return other ? shades(other, await other.image("sh0")) : shades(whole, color);
-    };
-    for (const leaf of leaves) if (leaf[files[file].level].file === file) leaf.level = files[file].level;
-    return { row: files[file].row, n, means, geometries, colors };
-  };
-  const grain = ({ bound: { min, max }, level, [level]: { count } }, { position, axes }) => {
-    const size = Math.hypot(...plus(max, min, -1)), away = Math.hypot(...position.map((at, k) => Math.max(min[k] - at, 0, at - max[k])));
-    const behind = dot(plus(plus(min, max, 1), position, -2), axes[2]) < 0; // which comes last
-    return size / Math.sqrt(count) / (away + size / 10) / (behind ? 10 : 1);
-  };
-  return {
-    rows, first: await load(leaves[0][coarsest].file), parts: files.length,
-    // The Gaussians of each leaf, in its finest level that is there.
-    shown() {
-      const ranges = leaves.map(({ level, [level]: { file, offset, count } }) => [files[file].row * ROW + offset, count]);
-      const all = new Uint32Array(ranges.reduce((sum, [, count]) => sum + count, 0));
-      let end = 0;
-      for (const [start, count] of ranges) for (let i = 0; i < count; i++) all[end++] = start + i;
-      return all;
-    },
-    next(camera) {
-      const [leaf] = leaves.filter(({ level }) => level > 0).sort((a, b) => grain(b, camera) - grain(a, camera));
-      return leaf ? load(leaf[leaf.level - 1].file) : null;
-    },
-  };
 }
 
 // ---- Sorting ------------------------------------------------------------------------------------------------------
 
 function sorter() {
-  let means, shown;
+  let means;
   onmessage = ({ data }) => {
-    if (data.shown) {
-      means ??= new Float32Array(data.room);
-      means.set(data.means, data.start);
-      shown = data.shown;
+    if (data.means) {
+      means = data.means;
       return;
     }
-    const n = shown.length, [a, b, c] = data.forward, depths = new Float32Array(n);
+    const n = means.length / 3, [a, b, c] = data.forward, depths = new Float32Array(n);
     let low = Infinity, high = -Infinity;
     for (let i = 0; i < n; i++) {
-      const at = 3 * shown[i], depth = a * means[at] + b * means[at + 1] + c * means[at + 2];
+      const depth = a * means[3 * i] + b * means[3 * i + 1] + c * means[3 * i + 2];
       depths[i] = depth;
       if (depth < low) low = depth;
       if (depth > high) high = depth;
@@ -181,7 +102,7 @@ function sorter() {
     const starts = new Uint32Array(bins + 1), keys = new Uint32Array(n), order = new Uint32Array(n);
     for (let i = 0; i < n; i++) { keys[i] = (high - depths[i]) * scale; starts[keys[i] + 1]++; }
     for (let k = 0; k < bins; k++) starts[k + 1] += starts[k];
-    for (let i = 0; i < n; i++) order[starts[keys[i]]++] = shown[i];
+    for (let i = 0; i < n; i++) order[starts[keys[i]]++] = i;
     postMessage({ order, forward: data.forward }, [order.buffer]);
   };
 }
@@ -239,11 +160,11 @@ function program(gl) {
 }
 
 class Renderer {
-  constructor(gl, rows) {
+  constructor(gl, { rows, geometries }) {
     this.gl = gl;
     this.rows = rows;
     this.program = program(gl);
-    this.geometries = scene.rotations.map(() => this.texture(gl.RGBA32F, 3 * ROW));
+    this.geometries = geometries.map((texels) => this.texture(gl.RGBA32F, 3 * ROW, gl.FLOAT, texels));
     this.colors = [];
     gl.useProgram(this.program);
     this.uniform = (name) => gl.getUniformLocation(this.program, name);
@@ -265,27 +186,18 @@ class Renderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
-  texture(format, width) {
+  texture(format, width, type, texels) {
     const gl = this.gl, made = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, made);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
     gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, this.rows);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, this.rows, gl.RGBA, type, texels);
     return made;
   }
 
-  fill(texture, row, width, type, texels) {
-    const gl = this.gl;
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, texels.length / (4 * width), gl.RGBA, type, texels);
-  }
-
-  place({ row, geometries }) {
-    geometries.forEach((texels, which) => this.fill(this.geometries[which], row, 3 * ROW, this.gl.FLOAT, texels));
-  }
-
-  paint(style, { row }, texels) {
-    this.fill(this.colors[style] ??= this.texture(this.gl.RGBA8, ROW), row, ROW, this.gl.UNSIGNED_BYTE, texels);
+  paint(style, texels) {
+    this.colors[style] = this.texture(this.gl.RGBA8, ROW, this.gl.UNSIGNED_BYTE, texels);
   }
 
   sorted(order) {
@@ -533,11 +445,11 @@ async function main() {
   }
   const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
   if (!gl) throw new Error("This browser shows no WebGL 2, which the scene needs.");
-  const source = await (scene.streamed ? stream(gl) : unpack());
-  const renderer = new Renderer(gl, source.rows), camera = new Camera(source.first.means), veil = scene.fade && new Veil(source.first);
+  const packed = await unpack();
+  const renderer = new Renderer(gl, packed), camera = new Camera(packed.means), veil = scene.fade && new Veil(packed);
   if (veil) Object.assign(element("veil"), { width: scene.fade.columns, height: scene.fade.rows, hidden: false });
   const worker = new Worker(URL.createObjectURL(new Blob([`(${sorter})()`], { type: "text/javascript" })));
-  const state = { style: scene.first, other: 0, chosen: scene.first, compare: false, divider: 0.5, playing: null, cycling: false };
+  const state = { style: scene.first, other: 0, compare: false, divider: 0.5, playing: null, cycling: false };
   let wanted = null, sorting = false, waiting = false, settled = [];
 
   const press = (id, on) => element(id).setAttribute("aria-pressed", on);
@@ -575,21 +487,6 @@ async function main() {
   };
   const changed = () => { wanted = camera.axes[2]; sort(); redraw(); };
 
-  // A part is seen when it has the colours of all styles that were opened, and a style when all parts have its colours.
-  const parts = [], opened = new Map(), ready = new Set();
-  const paint = async (style, part) => renderer.paint(style, part, await part.colors(style));
-  const open = (style) => {
-    if (!opened.has(style)) opened.set(style, Promise.all(parts.map((part) => paint(style, part))).then(() => { ready.add(style); thumbnail(style); }));
-    return opened.get(style);
-  };
-  const add = async (part) => {
-    renderer.place(part);
-    parts.push(part);
-    await Promise.all([...opened.keys()].map((style) => paint(style, part)));
-    worker.postMessage({ room: 3 * ROW * source.rows, start: 3 * ROW * part.row, means: part.means, shown: source.shown() });
-    changed();
-  };
-
   const make = (name, options) => Object.assign(document.createElement(name), options);
   const radios = scene.styles.map((style, index) => {
     const label = make("label", { title: style.title }), input = make("input", { type: "radio", name: "style", value: index });
@@ -608,19 +505,16 @@ async function main() {
     small.getContext("2d").drawImage(canvas, 0, 0);
     redraw();
   };
-  const choose = async (index) => {
+  const choose = (index) => {
     if (!radios[index]) return;
-    state.chosen = index;
+    state.style = index;
     radios[index].checked = true;
     radios[index].parentElement.scrollIntoView({ block: "nearest", inline: "nearest" });
     if (parent !== window) parent.postMessage({ style: scene.styles[index].title }, "*");
-    if (!ready.has(index)) await open(index);
-    if (state.chosen === index) state.style = index;
     redraw();
   };
   const pick = (index) => { cycle(false); choose(index); };
-  const compare = async (on) => {
-    if (on && !ready.has(state.other)) await open(state.other);
+  const compare = (on) => {
     state.compare = on;
     press("compare", on);
     element("divider").hidden = !on;
@@ -729,25 +623,18 @@ async function main() {
   // For other programs: what the page can be asked, each answered when the picture stands.
   const stands = () => new Promise((resolve) => { settled.push(resolve); changed(); });
   window.anystyle = {
-    scene, choose: async (index) => { await choose(index); return stands(); }, go: (view) => { go(view); return stands(); },
-    compare: async (on, divider = 0.5) => { state.divider = element("divider").value = divider; await compare(on); return stands(); }, camera, stands,
+    scene, choose: (index) => { choose(index); return stands(); }, go: (view) => { go(view); return stands(); },
+    compare: (on, divider = 0.5) => { state.divider = element("divider").value = divider; compare(on); return stands(); }, camera, stands,
   };
-  await add(source.first);
-  const whole = scene.streamed ? [scene.first] : scene.styles.keys();
+  worker.postMessage({ means: packed.means });
+  for (const style of scene.styles.keys()) renderer.paint(style, packed.colors(style));
   await stands();
-  for (const style of whole) await open(style);
+  for (const style of scene.styles.keys()) thumbnail(style);
   choose(scene.first);
   restore();
   await stands();
   say("");
   document.body.dataset.ready = "true";
-  for (let part = source.next(camera); part; part = source.next(camera)) {
-    await add(await part);
-    say(`${parts.length} of ${source.parts} parts are loaded`);
-    await stands();
-  }
-  if (parts.length > 1) for (const style of ready) thumbnail(style);
-  document.body.dataset.complete = "true";
 }
 
 main().catch((error) => { element("status").textContent = error.message; document.body.dataset.ready = "failed"; throw error; });

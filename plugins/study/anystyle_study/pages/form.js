@@ -3,8 +3,8 @@
   const study = JSON.parse(document.getElementById("study").textContent);
   const main = document.getElementById("main");
   const notice = document.getElementById("notice");
-  const address = new URLSearchParams(location.search);
-  let state = null; // {person, token, participant, sets, answers: {key: {...}}, facts: {name: value}, outbox: [[path, message]]}
+  let state = null; // {participant, answers: {key: {...}}, facts: {name: value}}
+  let sets = [];
   let shownAt = 0;
 
   // ---- small tools
@@ -33,11 +33,11 @@
   const button = (id, text, onclick, options = {}) => make("button", { type: "button", id, text, onclick, ...options });
 
   // ---- what is kept in this browser
-  const key = (person) => `study:${study.id}:${person}`;
+  const key = (participant) => `study:${study.id}:${participant}`;
   const keep = () => {
     try {
-      localStorage.setItem(key(state.person), JSON.stringify(state));
-      localStorage.setItem(`study:${study.id}`, state.person);
+      localStorage.setItem(key(state.participant), JSON.stringify(state));
+      localStorage.setItem(`study:${study.id}`, state.participant);
     } catch {
       warn("This browser keeps nothing: please do not close or reload the page before the end.");
     }
@@ -46,92 +46,27 @@
     try { return localStorage.getItem(name); } catch { return null; }
   };
 
-  // ---- what is sent to the study's server, where the page comes from one
-  const post = async (path, message) => {
-    const headers = { "Content-Type": "application/json", Authorization: `Bearer ${state.token}` };
-    const body = JSON.stringify({ study: study.id, ...message });
-    const reply = await fetch(path, { method: "POST", headers, body, signal: AbortSignal.timeout(20000) });
-    if (reply.status >= 500 || reply.status === 429) throw new Error(String(reply.status));
-    return { status: reply.status, ...(await reply.json()) };
-  };
-  let sending = false;
-  const send = async () => {
-    if (!study.server || sending) return;
-    sending = true;
-    while (state.outbox.length) {
-      const [path, message] = state.outbox[0];
-      try {
-        const reply = await post(path, { participant: state.participant, ...message });
-        state.outbox.shift();
-        keep();
-        if (reply.status === 200) warn("");
-        else if (reply.status === 401) return halt("This form is being filled in in another browser. Please go on there.");
-        else if (reply.status === 409) return halt("This form was answered in another window, too. Reload this page to go on with what was saved there.");
-        else warn(`The server did not accept an answer (${reply.status}); please tell the experimenter.`);
-      } catch {
-        warn("The server does not answer. Your answers are kept here and sent as soon as it does.");
-        await new Promise((resolve) => setTimeout(resolve, 1000));
-      }
-    }
-    sending = false;
-    document.dispatchEvent(new Event("sent"));
-  };
-  const halt = (text) => {
-    state.outbox = [];
-    keep();
-    show(0, 1, "", make("div", { class: "words" }, heading("Please do not go on here"), make("p", { text })));
-  };
-  const enqueue = (path, message) => { state.outbox.push([path, message]); keep(); send(); };
-
   // ---- beginning, and going on
-  const begin = async (person) => {
-    const local = JSON.parse(kept(key(person)) || "null");
-    const random = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-    state = local || { person, token: random(), participant: person, answers: {}, facts: {}, outbox: [] };
-    if (!study.server) {
-      state.sets = study.people[person];
-      if (!state.sets) return "This code is not known. Please check it.";
-      keep();
-      return "";
-    }
-    keep(); // the token, before anybody else hears of it
-    try {
-      const reply = await post("session", { person, token: state.token });
-      if (reply.status === 409) return "This code is in use in another browser or on another device. Please go on there, or ask the experimenter to release it.";
-      if (reply.status !== 200) return "This code is not known. Please check it.";
-      Object.assign(state, { participant: reply.participant, sets: reply.sets, facts: { ...reply.facts }, answers: {} });
-      for (const { item, question, side, ...answer } of reply.answers) state.answers[[item, question, side]] = answer;
-      for (const [path, { item, question, side, name, value, ...answer }] of state.outbox) {
-        if (path === "answers") state.answers[[item, question, side]] = answer;
-        else state.facts[name] = value;
-      }
-      keep();
-    } catch {
-      if (!state.sets) return "The server does not answer. Please try again in a moment.";
-    }
+  const begin = (participant) => {
+    sets = study.people[participant];
+    if (!sets) return "This code is not known. Please check it.";
+    state = JSON.parse(kept(key(participant)) || "null") || { participant, answers: {}, facts: {} };
+    keep();
     return "";
   };
 
   const welcome = () => {
-    const parameter = study.id_parameters.find((name) => address.get(name));
-    const preview = address.get("assignmentId") === "ASSIGNMENT_ID_NOT_AVAILABLE";
-    const person = parameter ? address.get(parameter) : address.get("p") || decodeURIComponent(location.hash.slice(1)) || kept(`study:${study.id}`) || "";
-    const input = make("input", { type: "text", id: "code", value: person, autocomplete: "off", autocapitalize: "characters", spellcheck: "false", "aria-describedby": "codeerror" });
+    const code = decodeURIComponent(location.hash.slice(1)) || kept(`study:${study.id}`) || "";
+    const input = make("input", { type: "text", id: "code", value: code, autocomplete: "off", autocapitalize: "characters", spellcheck: "false", "aria-describedby": "codeerror" });
     const message = make("p", { class: "error", id: "codeerror", role: "alert" });
-    const submit = async (event) => {
+    const submit = (event) => {
       event.preventDefault();
-      const entered = input.value.trim();
-      const error = await begin(study.id_parameters.length ? entered : entered.toUpperCase());
-      message.textContent = error;
-      if (error) return input.focus();
-      send();
-      return consent();
+      message.textContent = begin(input.value.trim().toUpperCase());
+      return message.textContent ? input.focus() : consent();
     };
     show(0, 1, "", make("div", { class: "words" }, heading(study.title), ...words(study.instructions),
-      make("form", { onsubmit: submit },
-        ...(parameter ? [] : [make("label", { for: "code", text: study.id_parameters.length ? "Your participant id" : "Your participant code" }), input]),
-        preview ? make("p", { text: "This is a preview. Accept the task to begin." }) : message,
-        make("div", { class: "buttons" }, make("button", { class: "main", id: "start", text: "Start or go on", disabled: preview })))));
+      make("form", { onsubmit: submit }, make("label", { for: "code", text: "Your participant code" }), input, message,
+        make("div", { class: "buttons" }, make("button", { class: "main", id: "start", text: "Start or go on" })))));
   };
 
   const consent = () => {
@@ -139,7 +74,7 @@
     const box = make("input", { type: "checkbox", id: "agree", onchange: () => { next.disabled = !box.checked; } });
     const next = button("next", "Next", () => {
       state.facts.consent = new Date().toISOString();
-      enqueue("facts", { name: "consent", value: state.facts.consent });
+      keep();
       person();
     }, { class: "main", disabled: true });
     return show(0, 1, "", make("div", { class: "words" }, heading("Your consent"), ...words(study.consent),
@@ -159,8 +94,7 @@
     const next = () => {
       state.asked = true;
       for (const [name, field] of fields) {
-        state.facts[name] = field.value;
-        if (field.value) enqueue("facts", { name, value: field.value });
+        if (field.value) state.facts[name] = field.value;
       }
       keep();
       page(firstOpen());
@@ -173,14 +107,14 @@
   const asked = study.questions.flatMap((question) => (question.kind === "rating" ? ["A", "B"] : [""]).map((side) => ({ ...question, side })));
   const answer = (set, question) => state.answers[[set.id, question.name, question.side]];
   const answered = (set) => asked.every((question) => answer(set, question));
-  const firstOpen = () => { const index = state.sets.findIndex((set) => !answered(set)); return index < 0 ? state.sets.length : index; };
+  const firstOpen = () => { const index = sets.findIndex((set) => !answered(set)); return index < 0 ? sets.length : index; };
   const record = (set, question, score) => {
     const before = answer(set, question);
     if (before && before.score === score) return;
     const seconds = Math.round((performance.now() - shownAt) / 10) / 100;
     const given = { score, seconds, time: new Date().toISOString(), revision: before ? before.revision + 1 : 1 };
     state.answers[[set.id, question.name, question.side]] = given;
-    enqueue("answers", { item: set.id, question: question.name, side: question.side, ...given });
+    keep();
   };
 
   // ---- pictures: every file is fetched once, whole, before it is shown
@@ -188,7 +122,7 @@
   const load = (name) => {
     if (!cache.has(name)) {
       const loading = (async () => {
-        const reply = await fetch(study.pictures ? study.pictures[name] : `pictures/${name}`);
+        const reply = await fetch(study.pictures[name]);
         if (!reply.ok) throw new Error(String(reply.status));
         const url = URL.createObjectURL(await reply.blob());
         if (!name.endsWith(".mp4")) await Object.assign(new Image(), { src: url }).decode();
@@ -283,8 +217,8 @@
   };
 
   const page = async (index) => {
-    if (index >= state.sets.length) return finish();
-    const set = state.sets[index];
+    if (index >= sets.length) return finish();
+    const set = sets[index];
     const next = button("next", "Next", () => page(index + 1), { class: "main", disabled: true });
     const back = button("back", "Back", () => page(index - 1), { disabled: index === 0 });
     const ready = () => node.dataset.loaded && answered(set);
@@ -294,7 +228,7 @@
     const node = make("div", { class: "set" }, loading, make("div", { class: "questions" }, ...fields),
       make("div", { class: "buttons" }, back, next,
         make("span", { class: "hint keys", text: `Keys: ${numbers[0]} to ${numbers.at(-1)} answer, Enter next, Backspace back` })));
-    show(index, state.sets.length, `${index + 1} of ${state.sets.length}`, heading("Compare A and B"), node);
+    show(index, sets.length, `${index + 1} of ${sets.length}`, heading("Compare A and B"), node);
     const reveal = async () => {
       try {
         const shown = await views(set);
@@ -306,7 +240,7 @@
         fields.forEach((field) => { field.disabled = false; });
         next.disabled = !ready();
         shownAt = performance.now();
-        for (const name of state.sets[index + 1] ? files(state.sets[index + 1]) : []) load(name).catch(() => {});
+        for (const name of sets[index + 1] ? files(sets[index + 1]) : []) load(name).catch(() => {});
       } catch {
         loading.replaceChildren(make("p", { text: "Some pictures could not be loaded. Please check your connection, and whether this browser blocks pictures. Your answers are safe." }),
           button("again", "Try again", () => { loading.replaceChildren(make("p", { text: "Loading the pictures …" })); reveal(); }));
@@ -334,7 +268,7 @@
 
   // ---- the end
   const save = () => {
-    const responses = state.sets.flatMap((set) => asked.filter((question) => answer(set, question)).map((question) => (
+    const responses = sets.flatMap((set) => asked.filter((question) => answer(set, question)).map((question) => (
       { participant: state.participant, item: set.id, question: question.name, side: question.side, ...answer(set, question) })));
     const { comment = "", ...person } = state.facts;
     const text = JSON.stringify({ study: study.id, participant: state.participant, person, comment, responses }, null, 1);
@@ -348,37 +282,13 @@
     comment.value = state.facts.comment || "";
     comment.addEventListener("change", () => {
       state.facts.comment = comment.value;
-      enqueue("facts", { name: "comment", value: comment.value });
+      keep();
     });
-    const status = make("p", { id: "saved", role: "status", text: study.server ? "Your answers are being sent …" : "Please save your answers and send the file to the experimenter." });
-    const end = button("end", study.server ? "Finish" : "Save answers", study.server ? () => leave(end, status) : save, { class: "main", disabled: study.server });
-    const sent = () => {
-      if (!study.server || state.outbox.length) return;
-      status.textContent = "All answers have arrived.";
-      end.disabled = false;
-    };
-    document.addEventListener("sent", sent);
+    const status = make("p", { id: "saved", role: "status", text: "Please save your answers and send the file to the experimenter." });
+    const end = button("end", "Save answers", save, { class: "main" });
     show(1, 1, "Done", make("div", { class: "words" }, heading("Thank you"), status,
       make("label", { for: "comment", text: "Anything you would like to say? (optional)" }), comment,
-      make("div", { class: "buttons" }, button("back", "Back to the sets", () => page(state.sets.length - 1)), end)));
-    sent();
-    send();
-  };
-
-  const leave = async (end, status) => {
-    end.disabled = true;
-    try {
-      const reply = await post("finish", { participant: state.participant });
-      if (reply.status !== 200) throw new Error(reply.error);
-      const link = reply.url && make("a", { href: reply.url, id: "return", class: "main", text: "Go back now" });
-      show(1, 1, "Done", make("div", { class: "words" }, heading("You have finished"),
-        make("p", { text: link ? "Thank you. You are taken back in a moment." : "Thank you. You may close this page." }),
-        reply.code && make("p", {}, "Your completion code: ", make("code", { id: "completion", text: reply.code })), link));
-      if (link) setTimeout(() => link.click(), 3000);
-    } catch (error) {
-      status.textContent = `This did not work (${error.message}). Please try again.`;
-      end.disabled = false;
-    }
+      make("div", { class: "buttons" }, button("back", "Back to the sets", () => page(sets.length - 1)), end)));
   };
 
   welcome();

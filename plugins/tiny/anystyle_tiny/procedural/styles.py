@@ -82,10 +82,6 @@ class ProceduralStyles(StyleSource):
         image = paint_style(draw, traits, self.size)
         return Style(image=image, text=(text,), names=(f"{self.split}-{self.seed}-{style:05d}",))
 
-    def traits(self, style: int) -> StyleTraits:
-        """What one style is made of, for supervision that a caption cannot give."""
-        return self._draw(style)[1]
-
     def _draw(self, style: int) -> tuple[Draw, StyleTraits]:
         if not 0 <= style < self.num_styles:
             raise UserError(f"style {style}: there are {self.num_styles}, counted from 0")

@@ -1,1 +1,0 @@
-"""Films of scenes: where the camera goes, how a frame is rendered, and metadata for players."""

@@ -1,1 +1,0 @@
-"""Checkpoints, data folders and camera paths of nerfstudio."""

@@ -1,0 +1,68 @@
+"""Film a stylized scene again, along another path."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from anystyle.cli.arguments import new_parser, split
+from anystyle.cli.launch import job_folder, launch
+from anystyle.cli.run import run, words_of
+from anystyle.contracts import Renderer
+from anystyle.errors import UserError
+from anystyle.io.atomic import atomic_directory
+from anystyle.pipeline.film import Film
+from anystyle.pipeline.load import default_device
+from anystyle.pipeline.saved import read_saved, with_stored_cameras
+from anystyle.registry.build import build
+from anystyle.registry.compose import options
+
+KEYS = """\
+  video.path=smooth|orbit|camera_path.json        video.frames=72 video.fps=24 video.height=1080 video.stills=0
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle film``; all other words are Hydra's."""
+    flags = new_parser("film", "Film a stylized scene again, along another path.", KEYS)
+    flags.formatter_class = argparse.RawDescriptionHelpFormatter
+    flags.add_argument("scene", type=Path, help="a folder of anystyle stylize, or a file of Gaussians")
+    flags.add_argument("--style", help="of several styles in it, the title of one (default: the last)")
+    flags.add_argument("--out", default="film", help="the film's folder, or a file.mp4 (default: %(default)s)")
+    return flags
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run ``anystyle film``."""
+
+    def command() -> None:
+        arguments, rest = split(parser(), words_of(words))
+        launch("film", lambda config: film(config, arguments), rest)
+
+    run(command)
+
+
+def film(config: DictConfig, arguments: argparse.Namespace) -> None:
+    """Film what the arguments name as a configuration says."""
+    video, splat, render = Film(options(config, "video")), options(config, "splat"), build(Renderer, config.renderer)
+    saved = read_saved(arguments.scene, splat.up, activated=splat.activated)
+    saved = with_stored_cameras(saved, arguments.scene, splat.folder)
+    titles = [title for title, _ in saved.styles]
+    if arguments.style not in (None, *titles):
+        raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")
+    title = arguments.style or titles[-1]
+    gaussians = dict(saved.styles)[title].to(default_device())
+    saved, out = replace(saved, styles=((title, gaussians),)), job_folder(arguments.out)
+    if out.suffix.lower() == ".mp4":
+        out.parent.mkdir(parents=True, exist_ok=True)
+        video.write(saved, out, render)
+    else:
+        with atomic_directory(out) as temporary:
+            video.write(saved, temporary / "video.mp4", render)
+    print(f"the film is {out if out.is_file() else out / 'video.mp4'}")
+
+
+if __name__ == "__main__":
+    main()
