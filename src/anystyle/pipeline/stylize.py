@@ -72,7 +72,8 @@ def stylize(
             another request is refused, and so is one that another process is writing results to.
         overwrite: Whether results of another request in ``out`` are deleted when the new ones are written.
         export: Which files a result has.
-        video: Options of the film of each result, such as ``{"path": "orbit"}``: those of the format ``mp4``.
+        video: Options of the film of each result, such as ``{"path": "orbit"}``: those of
+            :class:`~anystyle.pipeline.options.VideoOptions`.
         seed: The seed of random numbers.
         stages: Times and reports the work.
 
