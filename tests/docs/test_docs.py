@@ -132,8 +132,9 @@ def test_code_is_python_and_its_imports_are_there(page):
         if language != "python":
             continue
         for item in ast.walk(ast.parse(body if not body.startswith("    ") else "class _:\n" + body)):
-            if isinstance(item, ast.ImportFrom) and str(item.module).startswith("anystyle"):
-                module = importlib.import_module(str(item.module))
+            name = str(item.module) if isinstance(item, ast.ImportFrom) else ""
+            if name.startswith("anystyle") and name != "anystyle_mine":  # the reader's plugin
+                module = importlib.import_module(name)
                 assert all(hasattr(module, alias.name) for alias in item.names)
 
 
