@@ -201,13 +201,13 @@ class Flight(NamedTuple):
     times: Float[np.ndarray, " V"]
 
 
-class _Frame(msgspec.Struct):
+class _Keyframe(msgspec.Struct):
     camera_to_world: Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
     fov: Annotated[float, msgspec.Meta(gt=0, lt=180)]
 
 
 class _File(msgspec.Struct):
-    camera_path: Annotated[list[_Frame], msgspec.Meta(max_length=MAX_FRAMES)]
+    camera_path: Annotated[list[_Keyframe], msgspec.Meta(max_length=MAX_FRAMES)]
     camera_type: str = "perspective"
     fps: Positive | None = None
     seconds: Positive | None = None

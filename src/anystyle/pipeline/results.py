@@ -25,7 +25,7 @@ VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 
 
 @dataclass(frozen=True)
-class Run:
+class StylizeRun:
     """What the results of one stylization share.
 
     Args:
@@ -112,7 +112,7 @@ class Result:
 
     style: EmbeddedStyle
     gaussians: Gaussians
-    run: Run
+    run: StylizeRun
 
     @property
     def encoded(self) -> EncodedCapture:
@@ -153,7 +153,7 @@ class Results:
         styles: The styles, at least one.
     """
 
-    def __init__(self, run: Run, styles: Sequence[EmbeddedStyle]) -> None:
+    def __init__(self, run: StylizeRun, styles: Sequence[EmbeddedStyle]) -> None:
         self.run, self.styles = run, tuple(styles)
 
     def __len__(self) -> int:

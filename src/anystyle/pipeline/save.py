@@ -18,7 +18,7 @@ from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.film import Film
-from anystyle.pipeline.results import Result, Results, Run, pictures
+from anystyle.pipeline.results import Result, Results, StylizeRun, pictures
 from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, write_colmap
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, SourceImage, StyledScene
@@ -42,7 +42,7 @@ def save(results: Results | Result, folder: str | Path) -> None:
         if isinstance(results, Results):
             failures = write(results, temporary)
         else:
-            writer = _Writer(results.run, temporary)
+            writer = _ResultWriter(results.run, temporary)
             with results.run.stages("write", WRITTEN):
                 writer.write(results, temporary)
             failures = writer.failures
@@ -78,7 +78,7 @@ class Failures:
 def write(results: Results, folder: Path) -> Failures:
     """Write all results into a folder that has none of their files, and return what formats could not write."""
     run, several = results.run, len(results) > 1
-    writer = _Writer(run, folder, several=several)
+    writer = _ResultWriter(run, folder, several=several)
     written: list[Future[Column]] = []
     columns, styles, report = [*writer.before], [("unstyled", run.unstyled)], {}
 
@@ -115,10 +115,10 @@ def write(results: Results, folder: Path) -> Failures:
     return writer.failures
 
 
-class _Writer:
+class _ResultWriter:
     """Writes results below a folder; set ``stop`` to end a film that is being written in a thread."""
 
-    def __init__(self, run: Run, folder: Path, *, several: bool = False) -> None:
+    def __init__(self, run: StylizeRun, folder: Path, *, several: bool = False) -> None:
         self.run, self.encoded, self.folder = run, run.encoded, folder
         self.options, self.film = run.request.export, Film(run.request.video)
         self.failures, self.stop = Failures(), Event()

@@ -21,7 +21,7 @@ from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, 
 from anystyle.pipeline.read import read
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
-from anystyle.pipeline.results import Results, Run
+from anystyle.pipeline.results import Results, StylizeRun
 from anystyle.pipeline.save import Failures, write
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, embed_styles
@@ -114,7 +114,7 @@ def stylize(
         with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
             embedded = embed_styles(request.all_styles, loaded.stylizer, request.controls)
         encoded = encode(read(request, loaded, stages), loaded.stylizer, request.views, stages)
-        results = Results(Run(Restyler(encoded, loaded.method), loaded, request, asked, stages), embedded)
+        results = Results(StylizeRun(Restyler(encoded, loaded.method), loaded, request, asked, stages), embedded)
         failures = Failures() if folder is None else write(results, folder)
     failures.tell(Path(out or ""))
     return results
