@@ -150,10 +150,10 @@ def test_command_is_understood(page, line):
     if command == "study":
         _study(*rest)
         return
-    if command in ("profile", "start", "view"):
+    if command in ("app", "profile", "view"):
         plugins = {
+            "app": "app.command",
             "profile": "benchmark.command_profile",
-            "start": "start.command",
             "view": "viewer.command",
         }
         module = f"anystyle_{plugins[command]}"
