@@ -202,7 +202,7 @@ def test_options_are_keyword_only_and_described():
 
 
 def presets() -> list[tuple[str, str]]:
-    return [(kind, name) for kind in KINDS for name in packages.presets(kind)]
+    return [(kind, name) for kind in KINDS for name in packages.presets(kind) if name != "none"]
 
 
 def test_no_preset_has_a_plugins_name():

@@ -8,6 +8,10 @@ class UserError(ValueError):
     """What was given, what was expected, what to do: one line, and no traceback on the command line."""
 
 
+class MissingExtra(UserError, ImportError):
+    """An optional dependency is not installed; the message names the extra that brings it."""
+
+
 def one_line(message: object) -> str:
     """A message of several lines as one."""
     return " ".join(str(message).split())

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +18,7 @@ from anystyle.cli import launch
 from anystyle.cli.arguments import split
 from anystyle.cli.run import message, run
 from anystyle.contracts import Placement
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose, override
 
@@ -244,11 +245,13 @@ def test_multirun_runs_every_combination(command):
     assert out.splitlines() == [f"JOB {name} {seed} ['a, b'] ['in']" for name, seed in pairs]
 
 
-def test_a_failing_job_of_a_multirun_is_named(command):
+def test_each_failing_job_of_a_multirun_is_named(command):
     status, _, err = command("-m", "seed=1,2", "--fail", "user")
     assert status == 2
-    jobs = "job 1 of 2: seed=1\njob 2 of 2: seed=2\n"
+    jobs = "".join(f"job {n} of 2: seed={n}\njob {n} of 2: seed={n} failed: two lines\n" for n in (1, 2))
     assert err == f"{jobs}Error executing job with overrides: ['seed=1']\nanystyle: error: two lines\n"
+    with pytest.raises(RuntimeError, match="a bug"):
+        command("-m", "seed=1,2", "--fail", "bug")
 
 
 def test_a_folder_of_configurations_is_read(command, tmp_path):
@@ -267,7 +270,7 @@ def test_a_callback_in_a_folder_of_configurations_does_not_run(command, tmp_path
     )
     status, out, err = command("-cd", "more", "+extra=evil")
     assert (status, out) == (2, "") and not (tmp_path / "ran").exists()
-    assert err.startswith("anystyle: error: Target 'os.system' is blocklisted")
+    assert re.match(r"anystyle: error: Target 'os\.system' is bl[a-z]+listed", err)  # Hydra 1.4 has another word
     assert err.count("\n") == 1
 
 
@@ -349,8 +352,8 @@ def test_compose_inside_a_command_and_its_errors(tmp_path):
 def test_messages():
     assert message(UserError("a\n b")) == "a b" and message(ValueError("a bug")) is None
     assert message(FileNotFoundError(2, "No such file or directory", "x.jpg")) == "x.jpg: No such file or directory"
-    assert message(ImportError('reports need: pip install "anystyle[report]"')) is not None
-    assert message(ModuleNotFoundError("No module named 'x'", name="x")) is None
+    assert message(MissingExtra('reports need: pip install "anystyle[report]"')) is not None
+    assert message(ImportError("cannot import name 'x'")) is None
     assert message(TypeError("a bug")) is None
 
 

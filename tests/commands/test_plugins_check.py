@@ -14,6 +14,7 @@ IMPORTS = """
 from dataclasses import replace
 import torch
 from torch import nn
+from anystyle.errors import MissingExtra
 from anystyle.contracts import Placement, Renderer
 from anystyle.testing.toy.backbone import *
 from anystyle.testing.toy.injector import ToyInjector
@@ -52,7 +53,7 @@ BAD = {
     ),
     "needs_a_package": (
         "placement",
-        PLACEMENT.format(body="def __init__(self): raise ImportError('it needs foo: pip install \"acme[foo]\"')"),
+        PLACEMENT.format(body="def __init__(self): raise MissingExtra('it needs foo: pip install \"acme[foo]\"')"),
         'it cannot be checked here: it needs foo: pip install "acme[foo]"',
     ),
     "full_size": (

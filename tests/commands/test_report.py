@@ -13,6 +13,7 @@ from scipy import stats
 from anystyle.cli.run import run
 from anystyle.commands import report as command
 from anystyle.contracts.protocol import Evaluation, Row
+from anystyle.errors import MissingExtra
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.run_table import Line
 from anystyle.evaluation.tables import STAND_IN
@@ -84,7 +85,7 @@ def test_the_line_of_a_scene_in_the_spread_is_its_score_in_the_table(tmp_path, m
 
 def test_without_what_draws_the_tables_are_written_all_the_same(evaluated, tmp_path, capsys, monkeypatch):
     def absent():
-        raise ImportError('plots need matplotlib: pip install "anystyle[report]"')
+        raise MissingExtra('plots need matplotlib: pip install "anystyle[report]"')
 
     monkeypatch.setattr("anystyle.evaluation.plots.plotting", absent)
     command.main([str(evaluated), "--out", str(tmp_path / "out")])

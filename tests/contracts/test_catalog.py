@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 
 from anystyle.branch import StyleBranch
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.io.checkpoint import load_strictly
 from anystyle.placements import Full, Head
 from anystyle.registry.catalog import base_of, catalog, kinds
@@ -93,7 +93,7 @@ def test_what_this_machine_lacks_is_no_success():
         """Needs what is not there."""
 
         def __init__(self):
-            raise ImportError('it needs foo: pip install "acme[foo]"')
+            raise MissingExtra('it needs foo: pip install "acme[foo]"')
 
     with pytest.raises(pytest.skip.Exception, match="it cannot be checked here: it needs foo"):
         assert_contract("placement", Absent)

@@ -14,7 +14,7 @@ from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import choices
+from anystyle.registry.compose import VERSION_BASE, choices
 from anystyle.registry.packages import groups
 from anystyle.registry.source import PluginSource, register
 from anystyle.registry.untrusted import check_saved
@@ -59,7 +59,7 @@ def composed(plugin_folder, tmp_path):
     register()
 
     def run(*overrides: str):
-        with initialize_config_dir(str(conf), version_base="1.3"):
+        with initialize_config_dir(str(conf), **VERSION_BASE):
             return compose("config", overrides=list(overrides))
 
     return run

@@ -44,7 +44,7 @@ def refused(capsys, *words: str) -> str:
     with pytest.raises(SystemExit) as ended:
         ending(lambda: launch("train", run, words))
     told = capsys.readouterr()
-    assert ended.value.code == 2 and told.out == "" and told.err.count("\n") == 1 + 3 * ("-m" in words)
+    assert ended.value.code == 2 and told.out == "" and told.err.count("\n") == 1 + 5 * ("-m" in words)
     return told.err
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anystyle.contracts import Format
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import Remarks
@@ -117,7 +117,7 @@ def _zstd(data: bytes, streams: int, expected: int) -> bytes:
     try:
         import zstandard
     except ModuleNotFoundError:
-        raise ImportError('SPZ files of version 4 need zstandard: pip install "anystyle[spz]"') from None
+        raise MissingExtra('SPZ files of version 4 need zstandard: pip install "anystyle[spz]"') from None
     (start,) = struct.unpack_from("<I", data, 16)
     sizes = struct.unpack_from(f"<{2 * streams}Q", data, start)
     if sum(sizes[1::2]) != expected:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from anystyle.errors import MissingExtra
 from anystyle_study.analysis import Analysis, Mean, QuestionAnalysis
 from anystyle_study.power import PowerStudy, Rate
 
@@ -33,7 +34,7 @@ _MARKERS = {"response": "x", "participant": "o", "item": "s"}
 def require_matplotlib() -> None:
     """Check that figures can be drawn."""
     if find_spec("matplotlib") is None:
-        raise ImportError('figures and the report need matplotlib: pip install "anystyle[report]"')
+        raise MissingExtra('figures and the report need matplotlib: pip install "anystyle[report]"')
 
 
 @contextmanager

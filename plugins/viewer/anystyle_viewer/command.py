@@ -10,7 +10,7 @@ from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, split
 from anystyle.contracts import Command
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.pipeline.encode import encode
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.inputs import SavedScene, inputs_of
@@ -61,7 +61,7 @@ class View(Command):
     def __call__(self, words: Sequence[str]) -> None:
         arguments, overrides = split(parser(), words)
         if arguments.input is None:
-            raise UserError("name what to look at, such as a folder of results: anystyle view out/")
+            raise UserError("name a scene, as in anystyle view out/; to make one in the browser, anystyle app")
         if arguments.html is not None:
             _write_page(arguments, overrides)
         else:
@@ -78,7 +78,7 @@ def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None
 
 def _serve_scene(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
     if find_spec("viser") is None:
-        raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"')
+        raise MissingExtra('anystyle view needs viser; pip install "anystyle[viewer]"')
     from anystyle_viewer.viewer import Viewer
 
     opened, folder = (str(arguments.input), overrides), arguments.keep

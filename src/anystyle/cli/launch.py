@@ -4,7 +4,6 @@ import argparse
 import functools
 import os
 import sys
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
@@ -12,17 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.plugins import Plugins
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
 from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
-from anystyle.errors import UserError, unknown
-from anystyle.io.atomic import Busy
+from anystyle.errors import UserError, one_line, unknown
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, override, refused
 from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
@@ -59,7 +55,6 @@ def launch(
     The jobs of a multirun write into ``out`` where it is given.
     """
     register()
-    _share_sweeps()
     if out is not None and {"-m", "--multirun"} & {*words}:
         words = [override("hydra.sweep.dir", out), *words]
     check_words(words)
@@ -69,36 +64,33 @@ def launch(
 
     @functools.wraps(function)
     def task(config: DictConfig) -> Any:
-        if HydraConfig.get().mode is RunMode.MULTIRUN:
-            print(announcement(), file=sys.stderr, flush=True)
-            check_objective(config)
+        if HydraConfig.get().mode is not RunMode.MULTIRUN:
             try:
-                return function(config)  # Hydra reports which job failed
-            except Busy as busy:
-                if HydraConfig.get().runtime.choices["hydra/sweeper"] != "basic":
-                    raise
-                print(
-                    f"{busy.holder} is at work in {paths.shown(busy.folder)}; left to it", file=sys.stderr, flush=True
-                )
-                return busy
+                return function(config)
+            except Exception as error:
+                failures.append(error)
+                return None
+        job = announcement()
+        print(job, file=sys.stderr, flush=True)
+        check_objective(config)
         try:
             return function(config)
         except Exception as error:
-            failures.append(error)
-            return None
+            print(f"{job} failed: {one_line(error) or type(error).__name__}", file=sys.stderr, flush=True)
+            raise JobError(error) from error  # Hydra goes on with the other jobs
 
-    run_hydra = hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)
+    run_hydra = hydra.main(config_path=str(folder or paths.CONF), config_name=config_name, **VERSION_BASE)
     with _for_hydra(words):
         try:
             run_hydra(task)()
+        except JobError as failed:
+            failures.append(failed.error)
         except BrokenExecutor as error:
             raise UserError(
                 "a process of this sweep was killed, perhaps because memory ran out; the same command goes on with "
                 "the unfinished jobs"
             ) from error
         except Exception as error:
-            if any(frame.name == "return_value" for frame in traceback.extract_tb(error.__traceback__)):
-                raise  # by a job of a multirun
             raise refused(error) from error
         except SystemExit as end:
             sys.exit(FAILED if end.code == 1 else end.code)  # it has written its line
@@ -106,12 +98,12 @@ def launch(
         raise failures[0]
 
 
-def _share_sweeps() -> None:
-    """Let ``hydra/sweeper=basic``, Hydra's default, be the sweeper whose jobs several starts share."""
-    target = "hydra_plugins.anystyle_sweeper.SharedSweeper"
-    options = {"_target_": target, "max_batch_size": None, "params": None}
-    Plugins.instance()  # which stores Hydra's own
-    ConfigStore.instance().store(group="hydra/sweeper", name="basic", node=options, provider="anystyle")
+class JobError(Exception):
+    """The error of a job of a multirun, told apart from those that Hydra raises while it composes."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(error)
+        self.error = error
 
 
 def check_objective(config: DictConfig) -> None:
@@ -149,12 +141,14 @@ def _for_hydra(words: Sequence[str]) -> Iterator[None]:
     """
     variables = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
     argv, before = sys.argv, {name: os.environ.get(name) for name in variables}
+    state = HydraConfig.instance()
+    running = state.cfg
     sys.argv = [argv[0], *words]
     os.environ.update(variables)
     try:
         yield
     finally:
-        sys.argv = argv
+        sys.argv, state.cfg = argv, running
         for name, value in before.items():
             os.environ.pop(name, None)
             if value is not None:

@@ -89,10 +89,6 @@ def message(error: BaseException) -> str | None:
         return ": ".join(str(part) for part in (error.filename, error.strerror) if part)
     if isinstance(error, FileNotFoundError):
         return one_line(error)
-    if type(error) is ImportError and error.name is None:
-        return one_line(error)  # raised by anystyle where an optional dependency is missing; it names the extra
-    if type(error).__name__ == "DistBackendError" or "Connection closed by peer" in str(error):
-        return "another process of this training has ended; its own message says why"
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return f"out of memory: {one_line(error) or 'use fewer views or a smaller size'}"
     return None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.run import run, words_of
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.evaluation import plots, published_figures, run_table, runs
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import contact_sheet
@@ -26,10 +26,6 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("--scenes", action="store_true", help="columns for each scene, not their mean")
     words.add_argument("--with-published", action="store_true", help="with rows that papers printed, scene by scene")
     words.add_argument("--published", type=Path, action="append", default=[], metavar="FILE", help="more such rows")
-    tables = [*published_figures.tables(), "all"]
-    words.add_argument(
-        "--paper", action="append", default=[], choices=tables, help="this table of the paper as printed, ours below it"
-    )
     words.add_argument("--out", type=Path, help="where the files go (default: DIR/report)")
     return words
 
@@ -42,33 +38,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return report_verify.main(given[1:])
     arguments = parse(parser(), given)
-    with_published = arguments.with_published or bool(arguments.published)
-    if not arguments.folders and not with_published and not arguments.paper:
+    if not arguments.folders and not arguments.with_published and not arguments.published:
         raise UserError("no folder is named; give a run, a multirun or an evaluation, or --with-published alone")
-    if arguments.paper and (arguments.figures or arguments.scenes or with_published):
-        raise UserError("--paper prints a table as it is; leave out --figures, --scenes and the published rows")
     items = [item for folder in arguments.folders for item in runs.find(folder)]
     lines, better = run_table.lines_of(items) if items else ([], {})
     better = {**published_figures.better(), **better}
     out = arguments.out or (arguments.folders[0] / "report" if arguments.folders else Path("report"))
     with atomic_directory(out) as folder:
-        if arguments.paper:
-            written = _paper(arguments.paper, lines, better, folder)
-        else:
-            written = _side_by_side(arguments, lines, better, folder)
+        written = _side_by_side(arguments, lines, better, folder)
     print(f"\nin {out}: {', '.join(written)}")
     return 0
-
-
-def _paper(names: Sequence[str], ours: Sequence[run_table.Line], better: dict[str, str], out: Path) -> list[str]:
-    """Print and write tables of the paper; return the names of the files."""
-    forms, figures = published_figures.tables(), published_figures.load()
-    written: list[str] = []
-    for index, name in enumerate(forms if "all" in names else dict.fromkeys(names)):
-        table = run_table.paper_table(name, forms[name], figures, ours, better)
-        written += table.write(out, name)
-        print("\n" * bool(index) + table.markdown(), end="")
-    return written
 
 
 def _side_by_side(
@@ -96,7 +75,7 @@ def _side_by_side(
     try:
         if plots.bars(lines, columns, better, out / "figures.png"):
             written.append("figures.png")
-    except ImportError as error:
+    except MissingExtra as error:
         print(f"no plot: {error}", file=sys.stderr)
     print(table.markdown(), end="")
     return written

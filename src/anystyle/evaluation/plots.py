@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.data.images import open_image
+from anystyle.errors import MissingExtra
 from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
@@ -23,7 +24,7 @@ def plotting() -> Any:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        raise ImportError('plots need matplotlib: pip install "anystyle[report]"') from None
+        raise MissingExtra('plots need matplotlib: pip install "anystyle[report]"') from None
     return Figure
 
 
@@ -87,8 +88,10 @@ def bars(lines: Sequence["Line"], columns: Sequence["ColumnKey"], better: Mappin
     titles: dict[str, None] = {}
     shown: dict[ColumnKey, dict[str, Line]] = {}
     for line in lines:
-        title = line.title + "\npublished" * (line.origin == "published")
-        titles[title := title + f"\n{line.state}" * bool(line.state)] = None
+        title = f"{line.title}\npublished" if line.origin == "published" else line.title
+        if line.state:
+            title += f"\n{line.state}"
+        titles[title] = None
         for column in columns:
             if math.isfinite(line.value(*column)):
                 shown.setdefault(column, {})[title] = line

@@ -1,4 +1,4 @@
-"""Figures that papers printed, and the tables they stand in, with notes on contradictions."""
+"""Figures that papers printed, each with the table that it stands in and its source."""
 
 import math
 from collections.abc import Sequence
@@ -12,6 +12,8 @@ from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 
 BUNDLED = Path(__file__).with_name("published.json")
+PAPER = "anystyle"
+"""The source of the paper's own tables, by its key in the file."""
 
 
 @dataclass(frozen=True)
@@ -33,20 +35,6 @@ class PublishedFigure:
     mark: str = ""
 
 
-class PublishedTable(msgspec.Struct, frozen=True):
-    """The layout of a paper's table: methods below ``rules``, ``blocks`` of figures that stand one below the other."""
-
-    title: str
-    source: str
-    figures: tuple[str, ...]
-    scenes: tuple[str, ...]
-    """Empty where the table compares methods over all scenes."""
-    notes: tuple[str, ...]
-    heads: dict[str, str]
-    rules: tuple[str, ...] = ()
-    blocks: dict[str, tuple[str, ...]] = {}
-
-
 class _Row(msgspec.Struct):
     """A method's row of a table: for each figure its cells by scene, as printed."""
 
@@ -63,7 +51,6 @@ class _PublishedFile(msgspec.Struct):
     sources: dict[str, str]
     rows: list[_Row]
     aliases: dict[str, str] = {}
-    tables: dict[str, PublishedTable] = {}
     better: dict[str, str] = {}
 
 
@@ -72,10 +59,13 @@ def _bundled() -> _PublishedFile:
     return read_json(BUNDLED, _PublishedFile)
 
 
-def tables() -> dict[str, PublishedTable]:
-    """The tables of the AnyStyle paper, by the name that ``anystyle report --paper`` takes."""
-    sources, known = _bundled().sources, _bundled().tables
-    return {name: msgspec.structs.replace(table, source=sources[table.source]) for name, table in known.items()}
+def tables() -> dict[str, list[str]]:
+    """The figures of each table of the AnyStyle paper, by the table's name."""
+    rows = [row for row in _bundled().rows if row.source == PAPER]
+    return {
+        name: list(dict.fromkeys(figure for row in rows if row.table == name for figure in row.figures))
+        for name in dict.fromkeys(row.table for row in rows)
+    }
 
 
 def better() -> dict[str, str]:

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.contracts.protocol import Evaluation, Protocol
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.provenance import foundations
 from anystyle.io.atomic import LOCK, folder_lock, write_json
@@ -139,7 +139,7 @@ def run(
     plots.examples(evaluation, out / "examples.png")
     try:
         plots.spread(evaluation, out / "spread.png", caption=f"{plugin.name}, {config.variant}; n = {evaluation.size}")
-    except ImportError as error:
+    except MissingExtra as error:
         log.warning("no plot: %s", error)
     return written
 
@@ -195,7 +195,7 @@ def make_sources(config: DictConfig, named: Mapping[str, bool]) -> dict[str, Any
         from anystyle.pipeline.load import make_scenes
 
         sources["scenes"] = make_scenes(config)
-    if "styles" in sources and config.get("styles") is not None:
+    if "styles" in sources and config.get("styles"):
         sources["styles"] = build(StyleSource, config.styles)
     return sources
 

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
 from pathlib import Path
 from typing import Literal
 
 from anystyle.data.images import open_image
 from anystyle.errors import UserError
-from anystyle.evaluation.published_figures import PublishedFigure, PublishedTable
+from anystyle.evaluation.published_figures import PublishedFigure
 from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.sheet import Cell, TextCard
@@ -117,11 +116,16 @@ def _seed(run: Run) -> list[str]:
 def _title(run: Run, common: set[str]) -> str:
     """The words of a run that others do not have, without its seed and its folder."""
     words = [word for word in run.words if word.partition("=")[0].lstrip("+") not in ("seed", "out")]
-    words = [word for word in words if word not in common] or (words if common else [])
-    if not words:
+    own = [word for word in words if word not in common]
+    if not own and common:  # all runs have the same words
+        own = words
+    if not own:
         return run.folder.resolve().name
+    if len(own) > 1:
+        return " ".join(own)
     # A single word needs no name before its value: `ablation=base` is `base`.
-    return words[0].partition("=")[2] or words[0] if len(words) == 1 else " ".join(words)
+    _, _, value = own[0].partition("=")
+    return value or own[0]
 
 
 def published_lines(figures: Sequence[PublishedFigure]) -> tuple[list[Line], list[str]]:
@@ -142,33 +146,6 @@ def _published_line(title: str, source: str, items: Sequence[PublishedFigure]) -
         samples.setdefault((item.scene, item.figure), (item.value,))
         printed.setdefault((item.scene, item.figure), f"{item.printed} ({item.mark})" if item.mark else item.printed)
     return Line(title, "published", source, samples, printed=printed)
-
-
-def paper_table(
-    name: str, form: PublishedTable, figures: Sequence[PublishedFigure], ours: Sequence[Line], better: Mapping[str, str]
-) -> Table:
-    """A table of the paper as it is printed, our rows below those of each block, contradictions in its notes."""
-    printed = [item for item in figures if (item.source, item.table) == (form.source, name)]
-    theirs = [_published_line(method, "", list(items)) for method, items in groupby(printed, lambda item: item.method)]
-    columns: list[ColumnKey] = []
-    rows: list[tuple[str, ...]] = []
-    for block, names in (form.blocks or {"": form.figures}).items():
-        columns = columns_of([*theirs, *ours], names, form.scenes)
-        cells = {line.title: tuple(map(line.cell, columns)) for line in theirs}
-        rows += [(block,)] if block else []
-        # Methods with the same properties share a row of Table 1.
-        for values, titles in groupby(cells, cells.__getitem__):
-            part, _, title = ", ".join(titles).rpartition(": ")
-            rows += [()] if title in form.rules else [(part,)] if part and (part,) not in rows else []
-            rows.append((title, *values))
-        rows += [("Ours",) if ": " in theirs[-1].title else ()] if ours else []
-        for line in ours:
-            units = (" s" * (figure == "time_s" and bool(line.values((scene, figure)))) for scene, figure in columns)
-            source = f" ({line.source})" * bool(line.source)
-            rows.append((line.title + source, *map(str.__add__, map(line.cell, columns), units)))
-    heads = [f"{scene}\n{titled(figure, better).replace(figure, form.heads[figure])}" for scene, figure in columns]
-    caption = f"{name.replace('_', ' ').title()} of {form.source}: {form.title}"
-    return Table(("Method", *map(str.strip, heads)), tuple(rows), caption, (*form.notes, *state_notes(ours)))
 
 
 def figures_of(lines: Sequence[Line], requested: Sequence[str] = ()) -> list[str]:
@@ -226,8 +203,10 @@ def version_notes(lines: Sequence[Line]) -> list[str]:
         for run in line.runs if line.samples else ():
             known = run.record().provenance
             words = [" ".join(pair) for pair in known.get("versions", {}).items()]
-            code = f"commit {known['commit'][:12]}{'+' * known['commit'].endswith('+')}" if known.get("commit") else ""
-            made.setdefault(", ".join(filter(None, [*words, code])), []).append(line.title)
+            if commit := known.get("commit"):
+                uncommitted = "+" if commit.endswith("+") else ""
+                words.append(f"commit {commit[:12]}{uncommitted}")
+            made.setdefault(", ".join(words), []).append(line.title)
     made.pop("", None)  # what a training logged
     if len(made) < 2:
         return [f"All figures computed here are of {version}." for version in made]

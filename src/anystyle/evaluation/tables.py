@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import accumulate, groupby
 from pathlib import Path
 
 STAND_IN = "stand-in, not comparable"
@@ -26,11 +25,9 @@ _MARKS = {"1st": "textbf", "2nd": "underline"}
 
 @dataclass(frozen=True)
 class Table:
-    r"""Texts in rows and columns, with a caption above and notes below.
+    """Texts in rows and columns, with a caption above and notes below.
 
-    Columns of numbers, intervals and dashes are aligned right, others left. Every form escapes the texts. Neighbours
-    with the same first line (``scene\nfigure``) share it in LaTeX. An empty row is a rule, which LaTeX alone shows; a
-    row of one text is the title of a block of rows, in CSV a column.
+    Columns of numbers, intervals and dashes are aligned right, others left. Every form escapes the texts.
 
     Example:
         >>> print(Table(("method", "PSNR"), (("head", "23.7"), ("full", "24.1"))).markdown())
@@ -48,12 +45,11 @@ class Table:
 
     def markdown(self) -> str:
         """As a table of GitHub's Markdown, with aligned columns."""
-        cells = [[escape_markdown(text) for text in row] for row in (self.columns, *self.rows) if row]
-        blank = [""] * (len(self.columns) - 1)
-        cells = [[f"**{row[0]}**", *blank] if len(row) == 1 else row for row in cells]
+        cells = [[escape_markdown(text) for text in row] for row in (self.columns, *self.rows)]
         widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
         lines = [f"| {' | '.join(map(str.ljust, row, widths))} |" for row in cells]
-        rules = ["-" * (width + 1) + "-:"[number] for width, number in zip(widths, self._numeric(), strict=True)]
+        ends = (":" if numeric else "-" for numeric in self._numeric())
+        rules = ["-" * (width + 1) + end for width, end in zip(widths, ends, strict=True)]
         caption = [f"**{escape_markdown(self.caption)}**\n"] if self.caption else []
         notes = [f"\n{escape_markdown(note)}" for note in self.notes]
         return "\n".join([*caption, lines[0], f"|{'|'.join(rules)}|", *lines[1:], *notes]) + "\n"
@@ -61,13 +57,8 @@ class Table:
     def csv(self) -> str:
         """As comma-separated values, without caption and notes."""
         text = io.StringIO()
-        rows, block = [[escape_csv(column).replace("\n", " ") for column in self.columns]], ()
-        for row in filter(None, self.rows):
-            if len(row) == 1:
-                rows, block = (rows if block else [["block", *rows[0]]]), row
-            else:
-                rows.append([*block, *row])
-        csv.writer(text, lineterminator="\n").writerows(map(escape_csv, row) for row in rows)
+        rows = ([escape_csv(cell) for cell in row] for row in (self.columns, *self.rows))
+        csv.writer(text, lineterminator="\n").writerows(rows)
         return text.getvalue()
 
     def latex(self) -> str:
@@ -79,21 +70,10 @@ class Table:
 
     def tabular(self) -> str:
         """The LaTeX ``tabular`` alone; needs ``booktabs``, and ``amssymb`` for ✓."""
-        lines = [rf"\begin{{tabular}}{{{''.join('lr'[number] for number in self._numeric())}}}", r"\toprule"]
-        spans = [(head, len([*group])) for head, group in groupby(text.rpartition("\n")[0] for text in self.columns)]
-        if len(spans) > 1:
-            ends = list(accumulate(width for _, width in spans))
-            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{escape_latex(head)}}}" for head, n in spans) + r" \\")
-            ruled = [(end - n + 1, end) for (head, n), end in zip(spans, ends, strict=True) if head]
-            lines.append(" ".join(rf"\cmidrule(lr){{{start}-{end}}}" for start, end in ruled))
-        rule = [] if self.rows and len(self.rows[0]) == 1 else [()]
-        for row in ([text.rpartition("\n")[2] for text in self.columns], *rule, *self.rows):
-            text = " & ".join(map(escape_latex, row)) + r" \\"
-            if len(row) == 1:
-                span = rf"\multicolumn{{{len(self.columns)}}}{{c}}{{\textit{{{escape_latex(row[0])}}}}} \\"
-                text = "\n".join([r"\midrule", span, r"\midrule"])
-            lines.append(text if row else r"\midrule")
-        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
+        head, *rows = (" & ".join(map(escape_latex, row)) + r" \\" for row in (self.columns, *self.rows))
+        aligned = "".join("r" if numeric else "l" for numeric in self._numeric())
+        begin, end = rf"\begin{{tabular}}{{{aligned}}}", r"\end{tabular}"
+        return "\n".join([begin, r"\toprule", head, r"\midrule", *rows, r"\bottomrule", end])
 
     def write(self, folder: Path, name: str) -> list[str]:
         """Write ``name.md``, ``name.csv`` and ``name.tex`` into a folder, and return these names."""
@@ -104,7 +84,7 @@ class Table:
 
     def _numeric(self) -> list[bool]:
         """For each column but the first whether all of its texts are numbers or empty."""
-        columns = zip(self.columns, *(row for row in self.rows if len(row) > 1), strict=True)
+        columns = zip(self.columns, *self.rows, strict=True)
         return [
             n > 0 and all(not text or _NUMERIC.match(text) for text in texts) for n, (_, *texts) in enumerate(columns)
         ]

@@ -25,20 +25,6 @@ LEASE = 60.0
 """Seconds without a sign of life after which a lock is taken over, whatever machine its process was on."""
 
 
-class Busy(UserError):
-    """Another process is at work in a folder.
-
-    Args:
-        message: The line for the user.
-        folder: The folder.
-        holder: Which process, in words.
-    """
-
-    def __init__(self, message: str, folder: Path = Path(), holder: str = "another process") -> None:
-        super().__init__(message)
-        self.folder, self.holder = folder, holder
-
-
 @contextmanager
 def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``target``, of the same suffix, that is renamed to it when the block succeeds.
@@ -113,22 +99,22 @@ def made_in(folder: Path) -> frozenset[str]:
 
 @contextmanager
 def folder_lock(folder: Path, refusal: str) -> Iterator[Callable[[], None]]:
-    """Lock a folder until the block ends, or raise :class:`Busy` of the message ``refusal`` if another process does.
+    """Lock a folder until the block ends; a UserError with the message ``refusal`` if another process holds it.
 
     The lock is the file ``.lock``, which needs nothing of a file system but that it creates a file once. Its process
     touches it three times within :data:`LEASE` seconds. The lock of a process that has died on this machine is taken
     over, and so is one that was not touched for longer, as of a machine that has gone. The block is given a function
-    that raises ``Busy`` if that happened to its own.
+    that raises the same error if that happened to its own.
     """
     with _made_folder(folder):
         lease = SoftFileLease(folder / LOCK, lease_duration=LEASE, blocking=False)
 
-        def busy() -> Busy:
+        def busy() -> UserError:
             owner = lease.owner
             holder = (
                 "another process" if owner is None else f"process {owner.pid} on {owner.hostname.partition('?')[0]}"
             )
-            return Busy(f"{refusal} ({holder})", folder, holder)
+            return UserError(f"{refusal} ({holder})")
 
         def check() -> None:
             if not lease.is_lock_held_by_us:
@@ -147,11 +133,6 @@ def folder_lock(folder: Path, refusal: str) -> Iterator[Callable[[], None]]:
             yield check
         finally:
             lease.release()
-
-
-def is_locked(folder: Path) -> bool:
-    """Whether a process is at work in a folder: its lock is there, and was touched within :data:`LEASE` seconds."""
-    return _silence(folder) <= LEASE
 
 
 def _silence(folder: Path) -> float:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import hydra
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.core.override_parser.types import Quote, QuotedString
@@ -22,7 +23,8 @@ from anystyle.registry.packages import groups, presets
 from anystyle.registry.schema import literal, node
 from anystyle.registry.source import register
 
-VERSION_BASE = "1.3"
+VERSION_BASE: dict[str, Any] = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}
+"""Hydra 1.3 takes the defaults of 1.1 where it is not told otherwise; Hydra 1.4 warns where it is told."""
 ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 """What Hydra and OmegaConf raise."""
 
@@ -47,7 +49,7 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
     check_words(overrides)
     folder = str((conf or paths.CONF).absolute())
     try:
-        with initialize_config_dir(folder, job_name=config_name, version_base=VERSION_BASE):
+        with initialize_config_dir(folder, job_name=config_name, **VERSION_BASE):
             return hydra_compose(config_name, overrides=list(overrides))
     except Exception as error:
         raise refused(error) from error
@@ -152,7 +154,10 @@ def _with_option(group: str, message: str) -> list[str]:
 
 def _message(error: BaseException) -> str:
     text = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
-    return one_line(text).replace("is not in struct", "is unknown")
+    text = re.sub(
+        r"\. Did you mean: .*\?", "", one_line(text)
+    )  # OmegaConf 2.4 guesses too; :func:`_nearest` knows groups
+    return text.replace("is not in struct", "is unknown")
 
 
 def _nearest(*errors: BaseException | None) -> str:
@@ -160,8 +165,9 @@ def _nearest(*errors: BaseException | None) -> str:
     for error in errors:
         if isinstance(error, OmegaConfBaseException) and isinstance(error.parent_node, DictConfig):
             keys = [str(key) for key in error.parent_node if key not in ("_target_", "hydra")]
-            if error.key in groups():
-                return f"; choose one first: {error.key}={'|'.join(_with_option(str(error.key), str(errors[0])))}"
+            group = str(error.key if error.parent_node else error.parent_node._key())
+            if group in groups():
+                return f"; choose one first: {group}={'|'.join(_with_option(group, str(errors[0])))}"
             if error.key is not None and error.key not in keys:
                 near = did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"

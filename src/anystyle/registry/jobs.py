@@ -19,12 +19,10 @@ _NOT_REPEATED = ("hydra.mode", "hydra.sweep.", "hydra.job.", "hydra.launcher", "
 
 
 def values_of(words: Sequence[str], parser: OverridesParser) -> list[list[str]]:
-    """For each override of a multirun what its jobs are given; of one key the last counts."""
+    """For each override of a multirun what its jobs are given; of one key the last counts, as in Hydra's sweeper."""
     values: dict[str, list[str]] = {}
     for item in parser.parse_overrides([*words]):
         key = item.get_key_element()
-        if item.is_sweep_override() and not item.is_discrete_sweep():
-            raise HydraException(f"{item.input_line}: only a search takes intervals, such as hydra/sweeper=optuna")
         several = [f"{key}={value}" for value in item.sweep_string_iterator()] if item.is_sweep_override() else None
         values[key] = several or [str(item.input_line)]
     return [*values.values()]

@@ -7,7 +7,7 @@ packaged by name: ``loss=[content,style]``, ``loss.style.weight=2``.
 
 import importlib
 import re
-from functools import cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,25 @@ _OPTIONS = "options"
 class PluginSource(ConfigSource):
     """Configurations made of constructor signatures, of dataclasses of options, and of the files beside plugins.
 
-    Hydra makes one for each command, and asks it again and again: what there is stays as it was at first.
+    Hydra makes one for each command, and asks it again and again: what there is stays as it was at first. It is pickled
+    for the processes of a launcher.
     """
 
     def __init__(self, provider: str, path: str) -> None:
         super().__init__(provider, path)
-        self._groups, self._presets = cache(groups), cache(_presets)
+        self._known: dict[str, dict[str, Path]] = {}
+
+    @cached_property
+    def _groups(self) -> "list[str]":
+        return groups()
+
+    def _presets(self, group: str) -> dict[str, Path]:
+        if group not in self._known:
+            try:
+                self._known[group] = package_presets(group)
+            except PluginError as error:
+                raise ConfigCompositionException(str(error)) from error
+        return self._known[group]
 
     @staticmethod
     def scheme() -> str:
@@ -45,7 +58,7 @@ class PluginSource(ConfigSource):
         return True
 
     def is_group(self, config_path: str) -> bool:
-        return config_path.strip("/") in ("", _OPTIONS, *self._groups())
+        return config_path.strip("/") in ("", _OPTIONS, *self._groups)
 
     def is_config(self, config_path: str) -> bool:
         group, name = _split(config_path)
@@ -54,7 +67,7 @@ class PluginSource(ConfigSource):
     def list(self, config_path: str, results_filter: ObjectType | None) -> "list[str]":
         group = config_path.strip("/")
         if not group:
-            return [] if results_filter is ObjectType.CONFIG else sorted(self._groups())
+            return [] if results_filter is ObjectType.CONFIG else sorted(self._groups)
         return [] if results_filter is ObjectType.GROUP else self._names(group)
 
     def load_config(self, config_path: str) -> ConfigResult:
@@ -83,13 +96,6 @@ class PluginSource(ConfigSource):
         if group == _OPTIONS:
             return sorted(OPTIONS)
         return sorted({*self._presets(group), *(catalog().names(group) if group in kinds() else ())})
-
-
-def _presets(group: str) -> dict[str, Path]:
-    try:
-        return package_presets(group)
-    except PluginError as error:
-        raise ConfigCompositionException(str(error)) from error
 
 
 def _split(config_path: str) -> tuple[str, str]:

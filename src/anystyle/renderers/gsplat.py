@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.errors import MissingExtra
 from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances
 from anystyle.renderers.rasterizer import Rasterizer, at_least_single
@@ -71,5 +72,5 @@ def _rasterization() -> Callable[..., Any]:
     try:
         from gsplat import rasterization  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
     except ImportError as error:
-        raise ImportError('the renderer "gsplat" needs gsplat: pip install "anystyle[gpu]"') from error
+        raise MissingExtra('the renderer "gsplat" needs gsplat: pip install "anystyle[gpu]"') from error
     return rasterization

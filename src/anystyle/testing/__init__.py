@@ -13,10 +13,12 @@ Example:
     ...     assert_contract("backbone", MyBackbone)
 """
 
+from anystyle.errors import MissingExtra
+
 try:
     import pytest as _pytest  # noqa: F401
 except ImportError as error:
-    raise ImportError('the contracts of plugins are pytest functions: pip install "anystyle[testing]"') from error
+    raise MissingExtra('the contracts of plugins are pytest functions: pip install "anystyle[testing]"') from error
 
 from anystyle.testing.run import assert_contract, check
 from anystyle.testing.subject import Subject, subject

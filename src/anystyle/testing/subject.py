@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import nn
 
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.registry.catalog import base_of
 
 T = TypeVar("T")
@@ -41,9 +41,7 @@ class Subject(Generic[T]):
         try:
             with seeded(seed):
                 built = self.cls(**self.options, **passed)
-        except ModuleNotFoundError:
-            raise
-        except (ImportError, FileNotFoundError) as error:  # by convention the message names the extra or the file
+        except (MissingExtra, FileNotFoundError) as error:
             pytest.skip(f"it cannot be checked here: {error}")
         size = sum(parameter.numel() for parameter in built.parameters()) if isinstance(built, nn.Module) else 0
         remedy = "let `example` return the options of a smaller one"

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
+from torch.distributed import DistBackendError
 
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.contracts.training import Training, required
@@ -135,6 +136,8 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
         path = None if resumed is None else resumed.path
         try:
             trainer.fit(training, datamodule=data, ckpt_path=path, weights_only=resumed is not None or None)
+        except DistBackendError as error:
+            raise UserError("another process of this training has ended; its own message says why") from error
         except (RuntimeError, KeyError, TypeError, AttributeError) as error:
             if resumed is None or checkpoint.started:
                 raise

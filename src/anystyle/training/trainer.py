@@ -15,7 +15,7 @@ from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoa
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.errors import UserError, one_line, unknown
+from anystyle.errors import MissingExtra, UserError, one_line, unknown
 from anystyle.ranges import AtLeastOne, Count, NonNegative, Positive, Range
 from anystyle.registry.schema import check, option
 from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput
@@ -133,7 +133,7 @@ def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Log
         try:
             loggers.append(makers[each]())
         except ModuleNotFoundError as error:
-            raise ImportError(f'loggers: {each} is not installed; pip install "anystyle[{EXTRAS[each]}]"') from error
+            raise MissingExtra(f'loggers: {each} is not installed; pip install "anystyle[{EXTRAS[each]}]"') from error
     return loggers
 
 

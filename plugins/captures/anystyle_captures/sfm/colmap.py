@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 from PIL import Image
 
+from anystyle.errors import MissingExtra
 from anystyle.types import OnProgress, Progress, no_progress
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
@@ -49,7 +50,7 @@ def load_pycolmap() -> None:
         import pycolmap
     except ImportError as error:
         needed = "pip install pycolmap (for Linux and Windows on x86-64, macOS on arm64)"
-        raise ImportError(f"cameras from photos need pycolmap: {needed}") from error
+        raise MissingExtra(f"cameras from photos need pycolmap: {needed}") from error
     pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGINT):

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from anystyle.contracts import Correspondence
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.types import Flow, Frames
 from anystyle.vision.preprocess import gray
 from anystyle_metrics.optical_flow.visibility import cycle_visible
@@ -29,7 +29,7 @@ class DIS(Correspondence):
         try:
             import cv2
         except ImportError as error:
-            raise ImportError('correspondence=dis needs OpenCV: pip install "anystyle[flow]"') from error
+            raise MissingExtra('correspondence=dis needs OpenCV: pip install "anystyle[flow]"') from error
         self._preset = {
             "ultrafast": cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST,
             "fast": cv2.DISOPTICAL_FLOW_PRESET_FAST,

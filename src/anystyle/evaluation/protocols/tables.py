@@ -213,8 +213,8 @@ def _metrics_of(metrics: Mapping[str, Metric], table: str | None) -> dict[str, M
     tables = published_figures.tables()
     if table not in tables:
         raise UserError(f"table={table}: the paper has {', '.join(tables)}")
-    figures = set(tables[table].figures)
+    figures = set(tables[table])
     chosen = {name: metric for name, metric in metrics.items() if figures & {*metric.better, *type(metric).better}}
     if metrics and not chosen:
-        raise UserError(f"no metric that is chosen has a figure of {table} ({', '.join(tables[table].figures)})")
+        raise UserError(f"no metric that is chosen has a figure of {table} ({', '.join(tables[table])})")
     return chosen

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from anystyle import paths
-from anystyle.errors import UserError
+from anystyle.errors import MissingExtra, UserError
 from anystyle.io.checkpoint import sha256
 from anystyle.paths import expanded
 from anystyle.registry.packages import packages
@@ -89,7 +89,7 @@ def download(name: str) -> Path:
     try:
         from huggingface_hub import hf_hub_download  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise ImportError(f'downloading {name} needs huggingface_hub: pip install "anystyle[hub]"') from None
+        raise MissingExtra(f'downloading {name} needs huggingface_hub: pip install "anystyle[hub]"') from None
     owner, repository, path = entry.hub.split("/", 2)
     try:
         return Path(hf_hub_download(f"{owner}/{repository}", path))
