@@ -87,8 +87,8 @@ class FitResult:
         """Some views with the exposures of their photographs, clamped to [0, 1]; over white where there are masks."""
         behind, shown = background(renderer, self.gaussians, cameras), []
         for view in views:
-            renders, exposure = renderer(self.gaussians, cameras.select([view])), (self.gains[view], self.biases[view])
-            gain, bias = (value[:, None, None] for value in exposure)
+            renders = renderer(self.gaussians, cameras.select([view]))
+            gain, bias = self.gains[view, :, None, None], self.biases[view, :, None, None]
             alpha = renders.alpha[0, :, None] if masked else 1.0
             shown.append((renders.color[0] - (1 - alpha) * behind) * gain + bias * alpha + 1 - alpha)
         return torch.cat(shown).clamp(0, 1)
