@@ -9,6 +9,7 @@ from .pipeline.options import PoseOptions as PoseOptions
 from .pipeline.options import SplatOptions as SplatOptions
 from .pipeline.options import ViewOptions as ViewOptions
 from .pipeline.request import Request as Request
+from .pipeline.save import save as save
 from .pipeline.styles import Mixture as Mixture
 from .pipeline.styles import Named as Named
 from .pipeline.styles import Places as Places

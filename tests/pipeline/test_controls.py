@@ -211,7 +211,7 @@ def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
     results = anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=controls)
     full, none, preserved, plain = (result.gaussians for result in results)
     assert torch.equal(full.harmonics, plain.harmonics)
-    assert torch.equal(none.harmonics, results.restyler.unstyled.harmonics)
+    assert torch.equal(none.harmonics, results.run.unstyled.harmonics)
     assert not torch.equal(preserved.harmonics, plain.harmonics)
     small = anystyle.load("tiny")
     with pytest.raises(ValueError, match="is a text"):
@@ -232,7 +232,7 @@ def test_several_styles_share_a_scene_by_place(photographs):
     assert torch.equal(scene.harmonics[~inside], dots.harmonics[~inside])
     assert results[0].style.title == "“dots” and “fine hatching”"
     none = anystyle.stylize(photographs, styles, model=stylizer, views=VIEWS, controls=Controls(strength=0.0))
-    assert torch.equal(next(iter(none)).gaussians.harmonics, none.restyler.unstyled.harmonics)
+    assert torch.equal(next(iter(none)).gaussians.harmonics, none.run.unstyled.harmonics)
 
 
 def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog):
@@ -242,7 +242,7 @@ def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog)
         (("dots", Controls(attributes=("color",))), ("hatching", Controls(attributes=("rotation",))))
     )
     results = anystyle.stylize(photographs, styles, model=stylizer, reconstruction="feedforward", views=VIEWS)
-    ((scene, encoded),) = [(result.gaussians, results.restyler.encoded) for result in results]
+    ((scene, encoded),) = [(result.gaussians, results.encoded) for result in results]
 
     def both(scene):
         attributes = scene.attributes

@@ -9,7 +9,7 @@ import torch
 import anystyle
 from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
 from anystyle.errors import UserError
-from anystyle.pipeline.inputs import Given, Photographs, SavedScene, inputs_of
+from anystyle.pipeline.inputs import InMemory, Photographs, SavedScene, inputs_of
 from anystyle.pipeline.words import args_of, recorded, request
 from anystyle.types import Views
 
@@ -110,7 +110,7 @@ def test_what_the_inputs_are_is_decided_once(tmp_path):
     two = [tmp_path / "scene.ply", tmp_path / "a.jpg"]
     assert inputs_of(two) == Photographs(tuple(two)) and inputs_of([]) is None
     views = Views(torch.zeros(1, 1, 3, 8, 8))
-    assert inputs_of(views) == Given(views)
+    assert inputs_of(views) == InMemory(views)
 
 
 def test_a_result_of_something_in_memory_has_no_request(photographs, tmp_path):

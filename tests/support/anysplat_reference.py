@@ -10,8 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone
-from anystyle.testing.oracle import assert_matches, hashed
+from anystyle.testing.oracle import hashed
 from anystyle.types import Attributes, Gaussians, Scene
+from tests.support import oracle
 from tests.support.oracle import fill_sorted
 
 
@@ -37,13 +38,8 @@ def raw_maps(attributes: Attributes) -> Tensor:
     return torch.cat([*parts, attributes.confidence[..., None]], dim=-1).movedim(-1, 2)
 
 
-def scaled(record: Mapping[str, Any], samples: float = 2e-4) -> float:
-    """The absolute tolerance of a record: ``samples`` of its root mean square."""
-    return samples * record["l2"] / math.prod(record["shape"]) ** 0.5
-
-
 def check(actual: Tensor, record: Mapping[str, Any]) -> None:
-    assert_matches(actual.reshape(record["shape"]), record, atol=scaled(record))
+    oracle.check(actual.reshape(record["shape"]), record)
 
 
 def close(actual: Tensor, expected: Any) -> None:

@@ -1,6 +1,5 @@
 """The goldens of Depth Anything 3: its weights, inputs and outputs in our types."""
 
-import re
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from anystyle.testing.oracle import assert_matches, fill_named, smooth_image
+from anystyle.testing.oracle import fill_named
 from anystyle.types import Attributes, Cameras, Gaussians
 from tests.support.oracle import golden
 
@@ -39,18 +38,6 @@ def weights(shapes: Mapping[str, Tensor]) -> dict[str, Tensor]:
 @cache
 def tiny_weights() -> dict[str, Tensor]:
     return weights({name: torch.empty(shape) for name, shape in record()["tiny"]["keys"].items()})
-
-
-def images(inputs: Mapping[str, Any]) -> Tensor:
-    index, shape = re.fullmatch(r"\(IMG\((\d+),\[(.*)\]\)-mean\)/std", inputs["images"]).groups()
-    return smooth_image(int(index), [int(length) for length in shape.split(",")])
-
-
-def check(actual: Tensor, expected: Mapping[str, Any]) -> None:
-    """Within the golden's own tolerance: 2e-4 of the root mean square."""
-    count = torch.tensor(expected["shape"]).prod().item()
-    assert list(actual.shape) == expected["shape"]
-    assert_matches(actual, expected, atol=2e-4 * expected["l2"] / count**0.5)
 
 
 def check_cameras(actual: Cameras, expected: Mapping[str, Any]) -> None:

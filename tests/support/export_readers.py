@@ -1,16 +1,12 @@
 """Readers of exported files that share no code with what writes them: other packages, or the specifications."""
 
-import io
-import json
 import shutil
 import subprocess
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from anystyle.pipeline.export import in_axes
 from anystyle.types import Gaussians, StyledScene
@@ -50,51 +46,6 @@ def _of_gsply(data) -> Gaussians:
     )  # fmt: skip
 
 
-def read_splat(path: Path) -> Gaussians:
-    """As github.com/antimatter15/splat describes its rows."""
-    raw = np.frombuffer(path.read_bytes(), np.uint8).reshape(-1, 32)
-    floats = raw[:, :24].copy().view("<f4")
-    color = raw[:, 24:28] / 255
-    quaternion = (raw[:, 28:32].astype(float) - 128) / 128
-    harmonics = (color[:, :3] - 0.5) / 0.28209479177387814
-    return gaussians_of(floats[:, :3], quaternion, floats[:, 3:6], color[:, 3], harmonics[:, None])
-
-
-def read_sog(path: Path) -> Gaussians:
-    """As PlayCanvas's specification of version 2 says, pixel by pixel."""
-    with zipfile.ZipFile(path) as archive:
-        meta = json.loads(archive.read("meta.json"))
-        assert meta["version"] == 2
-
-        def pixels(name):
-            picture = Image.open(io.BytesIO(archive.read(name)))
-            assert picture.format == "WEBP"
-            return np.asarray(picture.convert("RGBA")).reshape(-1, 4).astype(np.int64)
-
-        n = meta["count"]
-        low, high = pixels(meta["means"]["files"][0])[:n, :3], pixels(meta["means"]["files"][1])[:n, :3]
-        mins, maxs = np.array(meta["means"]["mins"]), np.array(meta["means"]["maxs"])
-        far = mins + (maxs - mins) * (low + 256 * high) / 65535
-        means = np.sign(far) * (np.exp(np.abs(far)) - 1)
-        scales = np.exp(np.array(meta["scales"]["codebook"])[pixels(meta["scales"]["files"][0])[:n, :3]])
-        packed = pixels(meta["quats"]["files"][0])[:n]
-        quaternions = np.zeros((n, 4))
-        for row in range(n):
-            largest = packed[row, 3] - 252
-            small = (packed[row, :3] / 255 - 0.5) * 2 / np.sqrt(2)
-            quaternions[row] = np.insert(small, largest, np.sqrt(max(0, 1 - small @ small)))
-        color = pixels(meta["sh0"]["files"][0])[:n]
-        harmonics = [np.array(meta["sh0"]["codebook"])[color[:, :3]][:, None]]
-        if "shN" in meta:
-            centroids, labels = (pixels(name) for name in meta["shN"]["files"])
-            label = labels[:n, 0] + 256 * labels[:n, 1]
-            count = {1: 3, 2: 8, 3: 15}[meta["shN"]["bands"]]
-            book = np.array(meta["shN"]["codebook"])
-            where = (label // 64)[:, None] * 64 * count + (label % 64)[:, None] * count + np.arange(count)
-            harmonics.append(book[centroids[where, :3]])
-    return gaussians_of(means, quaternions, scales, color[:, 3] / 255, np.concatenate(harmonics, 1))
-
-
 def read_with_splat_transform(path: Path, folder: Path) -> Gaussians:
     """Converted to PLY, in OpenCV's axes; it turns other formats to those of 3DGS, but not SPZ (as of 3.7.0)."""
     out = folder / f"{path.name}.ply"
@@ -104,13 +55,17 @@ def read_with_splat_transform(path: Path, folder: Path) -> Gaussians:
     return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
 
 
-def read_with_gaussforge(path: Path, folder: Path) -> Gaussians:
-    """Converted to PLY, in OpenCV's axes; it turns none."""
-    import gaussforge
-
-    out = folder / f"{path.name}.gaussforge.ply"
+def read_with_gaussforge(path: Path) -> Gaussians:
+    """Converted to PLY; it turns no axes."""
+    gaussforge = pytest.importorskip("gaussforge")
+    out = path.with_suffix(f"{path.suffix}.ply")
     out.write_bytes(gaussforge.GaussForge().convert(path.read_bytes(), path.suffix[1:], "ply")["data"])
-    return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
+    return Gaussians.load(out)
 
 
-READERS = {"ply": read_ply, "spz": read_spz_file, "sog": read_sog, "splat": read_splat}
+READERS = {
+    "ply": read_ply,
+    "spz": read_spz_file,
+    **dict.fromkeys(("sog", "splat", "ksplat"), read_with_gaussforge),
+}
+"""In the file's axes."""

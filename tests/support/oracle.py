@@ -4,15 +4,16 @@ Each file's ``_about`` states the rule in words; see :mod:`anystyle.testing.orac
 """
 
 import json
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from anystyle.testing.oracle import assert_matches, bounds, hashed
+from anystyle.testing.oracle import assert_matches, bounds, hashed, smooth_image
 
 GOLDENS = Path(__file__).parents[1] / "goldens"
 
@@ -22,20 +23,27 @@ def golden(name: str) -> dict[str, Any]:
     return json.loads((GOLDENS / f"{name}.json").read_text())
 
 
-def expanded(keys: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
-    """Tensors without values under the published names; ``{0..5}`` in a name stands for numbers."""
-    written: dict[str, Tensor] = {}
-    for name, shape in keys.items():
-        first, last = map(int, found.groups()) if (found := re.search(r"\{(\d+)\.\.(\d+)\}", name)) else (0, 0)
-        for number in range(first, last + 1):
-            written[re.sub(r"\{.*\}", str(number), name)] = torch.empty(tuple(shape), device="meta")
-    return written
+def image(text: str) -> Tensor:
+    """The pictures that goldens write as ``IMG(index, [shape])``."""
+    index, shape = re.search(r"IMG\((\d+), ?\[([\d,]+)\]\)", text).groups()
+    return smooth_image(int(index), [int(length) for length in shape.split(",")])
 
 
-def check(actual: Tensor, expected: Mapping[str, Any]) -> None:
-    """Within the tolerance of goldens of networks: 2e-4 of the root mean square, and 1e-4 of the value."""
-    count = torch.tensor(expected["shape"]).prod().item()
-    assert_matches(actual, expected, atol=2e-4 * expected["l2"] / count**0.5)
+def tolerance(expected: Mapping[str, Any]) -> float:
+    """The absolute tolerance of goldens of networks: 2e-4 of the root mean square."""
+    return 2e-4 * expected["l2"] / math.prod(expected["shape"]) ** 0.5
+
+
+def check(actual: Tensor, expected: Mapping[str, Any], name: str = "") -> None:
+    """Within the tolerance of goldens of networks and 1e-4 of the value; covariances 1e-4 of the largest."""
+    atol = 1e-4 * expected["max"] if name == "covariances" else tolerance(expected)
+    try:
+        assert_matches(actual, expected, atol=atol)
+    except AssertionError as error:
+        raise AssertionError(f"{name}: {error}") from None
+    if "sum" in expected:
+        total = actual.detach().double().sum().item()
+        assert abs(total - expected["sum"]) <= 1e-4 * expected["abs_mean"] * actual.numel(), name
 
 
 def fill_sorted(shapes: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -1,7 +1,7 @@
 """The goldens of Styl3R: its weights, inputs and outputs in our types."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from itertools import product
 from typing import Any
@@ -9,11 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from anystyle.testing.oracle import fill_named, hashed, smooth_image
-from anystyle.types import Cameras, Tokens
+from anystyle.testing.oracle import fill_named, hashed
+from anystyle.types import Cameras
 from tests.support.oracle import golden
 
-NAME = "golden_styl3r"
 DIMS = {"dim": 64, "depth": 3, "heads": 4}
 TINY: dict[str, Any] = {
     **DIMS,
@@ -29,7 +28,7 @@ TINY: dict[str, Any] = {
 
 @cache
 def record() -> dict[str, Any]:
-    return golden(NAME)
+    return golden("golden_styl3r")
 
 
 def expanded(pattern: str) -> list[str]:
@@ -49,7 +48,7 @@ def shapes(network: str) -> dict[str, list[int]]:
     return {name: shape for pattern, shape in patterns for name in expanded(pattern)}
 
 
-def weights(shapes: Mapping[str, Tensor], names: Iterable[str] = ()) -> dict[str, Tensor]:
+def weights(shapes: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """The goldens' weights under their published names; aliases are filled by the name of the tensor they stand for."""
     fill = record()["fill"]
     own = {name: like for name, like in shapes.items() if ".layer_rn." not in name}
@@ -65,11 +64,6 @@ def tiny_weights() -> dict[str, Tensor]:
     return weights({name: torch.empty(shape, device="meta") for name, shape in shapes("tiny").items()})
 
 
-def picture(text: str) -> Tensor:
-    index, shape = re.fullmatch(r"IMG\((\d+), ?\[(.*)\]\)", text).groups()
-    return smooth_image(int(index), [int(length) for length in shape.split(",")])
-
-
 def lenses(text: str) -> Tensor:
     """Intrinsics in units of the image."""
     index, shape = re.fullmatch(r"K\((\d+), ?\[(.*)\]\)", text).groups()
@@ -83,30 +77,3 @@ def lenses(text: str) -> Tensor:
 def cameras(inputs: Mapping[str, str], size: tuple[int, int]) -> Cameras:
     units = lenses(inputs["intrinsics"])
     return Cameras(torch.eye(4).expand(*units.shape[:2], 4, 4), units, (1, 1)).resized(size)
-
-
-def in_their_order(tokens: Tokens) -> Tensor:
-    """Tokens with the special one last, as published."""
-    return tokens.data.roll(-tokens.special, dims=2)
-
-
-WORST: dict[str, float] = {}
-"""The largest errors seen, in units of what is tolerated, by record."""
-
-
-def check(actual: Tensor, expected: Mapping[str, Any], name: str = "") -> None:
-    """Within the golden's own tolerance: 2e-4 of the root mean square and 1e-4 of the value; covariances 1e-4."""
-    assert list(actual.shape) == expected["shape"], name
-    flat = actual.detach().double().flatten()
-    wanted = torch.tensor(expected["val"], dtype=torch.float64)
-    rms = expected["l2"] / flat.numel() ** 0.5
-    atol = 1e-4 * expected["max"] if name == "covariances" else 2e-4 * rms
-    error = (flat[torch.tensor(expected["idx"])] - wanted).abs() / (atol + 1e-4 * wanted.abs())
-    parts = {
-        "samples": error.max().item(),
-        "l2": abs(flat.norm().item() / expected["l2"] - 1) / 1e-4,
-        "abs_mean": abs(flat.abs().mean().item() / expected["abs_mean"] - 1) / 1e-4,
-        "sum": abs(flat.sum().item() - expected["sum"]) / (1e-4 * expected["abs_mean"] * flat.numel()),
-    }
-    WORST[name] = max(WORST.get(name, 0.0), *parts.values())
-    assert max(parts.values()) <= 1, f"{name}: {parts}"

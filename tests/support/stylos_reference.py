@@ -1,7 +1,6 @@
-"""Stylos with the weights that its goldens were computed with; another file of the same layout fits in their place."""
+"""The goldens of Stylos: its tensors and weights."""
 
 import itertools
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -10,16 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from anystyle.testing.oracle import fill_named, smooth_image
+from anystyle.testing.oracle import fill_named
 from tests.support.oracle import golden
-
-FILE = os.environ.get("ANYSTYLE_STYLOS_GOLDEN", "golden_stylos")
-"""The golden's name; a test of kept-back seeds sets another."""
 
 
 @cache
 def record() -> dict[str, Any]:
-    return golden(FILE)
+    return golden("golden_stylos")
 
 
 def expanded(keys: Sequence[Sequence[Any]]) -> dict[str, Tensor]:
@@ -63,9 +59,3 @@ def tiny_taps() -> dict[str, tuple[int, ...]]:
     construction = record()["tiny"]["construction"]
     style = re.search(r"style_intermediate_layer_idx \[([\d, ]+)\]", construction["style_aggregator"]).group(1)
     return {"taps": tuple(construction["kept_layers"]), "style_taps": tuple(map(int, style.split(",")))}
-
-
-def image(text: str) -> Tensor:
-    """``IMG(index, shape)``."""
-    index, shape = re.fullmatch(r"IMG\((\d+),\[(.*)\]\)", text).groups()
-    return smooth_image(int(index), [int(length) for length in shape.split(",")])

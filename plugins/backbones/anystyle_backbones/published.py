@@ -49,12 +49,11 @@ def first_names(state: Mapping[str, Tensor], rules: RenamingRules) -> dict[str, 
         UserError: Two names of one tensor have different values.
     """
     first: dict[str, Tensor] = {}
-    for name, tensor in state.items():
-        known = first.setdefault(renamed(name, rules), tensor)
-        if known is not tensor and not torch.equal(known, tensor):
-            raise UserError(
-                f"the checkpoint's {name} and {renamed(name, rules)} are one tensor, and differ; get the file again"
-            )
+    for second, tensor in state.items():
+        name = renamed(second, rules)
+        known = first.setdefault(name, tensor)
+        if known is not tensor and not (known.dtype == tensor.dtype and torch.equal(known, tensor)):
+            raise UserError(f"the checkpoint has {name} under two names, and the two differ; get the file again")
     return first
 
 

@@ -26,9 +26,9 @@ def reference_view(
         tokens: One per view.
         strategy: ``central``: the photograph that differs least from all others, whatever their order; the others are
             published for Depth Anything 3. ``saddle_balanced``: the view that is nearest to the middle of the range in
-            similarity to the others, norm and spread of its token; ``saddle_sim_range``: one of the two most alike,
-            which of them is a matter of rounding, for a view's similarity to itself counts as 0; ``middle`` and
-            ``first`` of the capture.
+            similarity to the others, norm and spread of its token; ``saddle_sim_range``: one of the two views that are
+            most similar, where rounding breaks the tie because self-similarity is set to 0; ``middle`` and ``first`` of
+            the capture.
     """
     if strategy == "central":
         return _central(images)
@@ -39,11 +39,11 @@ def reference_view(
         return torch.full((batch,), views // 2, dtype=torch.long, device=tokens.device)
     unit = F.normalize(tokens.float(), dim=-1)
     with torch.autocast(tokens.device.type, enabled=False):
-        alike = unit @ unit.mT - torch.eye(views, device=tokens.device)
+        similarity = unit @ unit.mT - torch.eye(views, device=tokens.device)
     if strategy == "saddle_sim_range":
-        return (alike.amax(-1) - alike.amin(-1)).argmax(-1)
-    figures = [alike.sum(-1) / (views - 1), tokens.float().norm(dim=-1), unit.var(dim=-1)]
-    return torch.stack([(_of_range(figure) - 0.5).abs() for figure in figures]).sum(0).argmin(-1)
+        return (similarity.amax(-1) - similarity.amin(-1)).argmax(-1)
+    scores = [similarity.sum(-1) / (views - 1), tokens.float().norm(dim=-1), unit.var(dim=-1)]
+    return torch.stack([(_of_range(score) - 0.5).abs() for score in scores]).sum(0).argmin(-1)
 
 
 def is_reference(tokens: Tokens) -> Bool[Tensor, "B V"]:
@@ -71,6 +71,6 @@ def _central(images: Float[Tensor, "B V 3 H W"]) -> Int[Tensor, " B"]:
     return (distance.mean(-1) + 1e-3 * small.mean(-1)).argmin(-1)
 
 
-def _of_range(figure: Float[Tensor, "B V"]) -> Float[Tensor, "B V"]:
-    low, high = figure.amin(-1, keepdim=True), figure.amax(-1, keepdim=True)
-    return (figure - low) / (high - low + 1e-8)
+def _of_range(score: Float[Tensor, "B V"]) -> Float[Tensor, "B V"]:
+    low, high = score.amin(-1, keepdim=True), score.amax(-1, keepdim=True)
+    return (score - low) / (high - low + 1e-8)

@@ -27,7 +27,7 @@ def main(job_file: str, args: Sequence[str]) -> None:
     job: Job = read_json(job_file, Job, what="job of a benchmark")
     start = time.process_time()
     results, cameras = stylized(job, args)
-    loaded = {str(one["file"]): str(one["sha256"]) for one in results.networks.values()}
+    loaded = {str(one["file"]): str(one["sha256"]) for one in results.run.model.networks.values()}
     write_json(Path(job.out) / WEIGHTS, loaded)
     spent = time.process_time()
     # A fit that an earlier method left in the cache took no time now: that method's record has its seconds.

@@ -7,10 +7,8 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from PIL import Image
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -32,8 +30,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress, Progress, Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
-from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.samples import write_transforms
+from anystyle_captures.camera_files.samples import write_wall
 from anystyle_captures.fit import Fit, QualityLevel, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import quality_of
@@ -222,10 +219,16 @@ class Captures(Protocol):
         views = views.to(self.stylizer.device)
         assert views.cameras is not None
         count, options = self.fit.amounts(views.images.shape[1])
-        given, masks = (views.images[0], views.cameras, self.stylizer.renderer), Masks.of(views)
-        options = replace(options, final_steps=0)
+        masks = Masks.of(views)
         result = fit_photographs(
-            *given, num_gaussians=count, options=options, points=points, heldout=chosen, masks=masks
+            views.images[0],
+            views.cameras,
+            self.stylizer.renderer,
+            num_gaussians=count,
+            options=replace(options, final_steps=0),
+            points=points,
+            heldout=chosen,
+            masks=masks,
         )
         with torch.no_grad():
             exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masks is not None)
@@ -252,22 +255,6 @@ class Captures(Protocol):
         start = time.process_time()
         Branch()(self.stylizer, scene, Style(), embedding)
         return time.process_time() - start
-
-
-def write_wall(folder: Path, num_views: int = 6, size: int = 64) -> None:
-    """Photographs of a coloured wall with cameras in ``transforms.json``: the smallest capture."""
-    (folder / "images").mkdir(parents=True)
-    texture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (24, 24, 3), dtype=np.uint8))
-    wall = texture.resize((4 * size, 4 * size), Image.Resampling.BICUBIC)
-    images = [folder / "images" / f"{view:02d}.png" for view in range(num_views)]
-    poses = np.tile(np.eye(4), (num_views, 1, 1))
-    for view, image in enumerate(images):
-        # Cameras move along the wall at a distance of 2 focal lengths: 1 is half an image.
-        left = size + 4 * view
-        wall.crop((left, size, left + size, 2 * size)).save(image)
-        poses[view, 0, 3] = 2 * left / size
-    lens = Lens((size, size), (size, size), (size / 2, size / 2))
-    write_transforms(folder / "transforms.json", images, [*poses], lens)
 
 
 def _mean(names: Iterable[str], figures: Sequence[Mapping[str, float]]) -> dict[str, float]:

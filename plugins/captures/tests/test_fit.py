@@ -9,7 +9,6 @@ from torch.nn.functional import pad
 from anystyle_captures import fit as captures_fit
 from anystyle_captures.fit import fit_photographs
 from anystyle_captures.fit_loop import FitOptions
-from anystyle_captures.twins import held_out
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.known_scene import photographed_wall
 
@@ -31,13 +30,6 @@ def fit(photographs, options=OPTIONS, **rest):
 def whole(photographs):
     """A fit that nothing interrupts."""
     return fit(photographs)
-
-
-def test_every_so_many_th_view_is_held_out():
-    alone = [[view] for view in range(24)]
-    assert held_out(alone, 8) == (4, 12, 20)
-    assert held_out(alone[:8], 8) == (4,)
-    assert held_out(alone[:7], 8) == () and held_out(alone, 0) == ()
 
 
 def test_photographs_alone_give_a_view_that_was_held_out(photographs, whole):
@@ -92,7 +84,9 @@ def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, whole, tmp_p
     assert [result.cached for result in again] == [False, True] and torch.equal(again[1].gains, other.gains)
 
 
-@pytest.mark.parametrize("steps", [20, 60], ids=["amid the fit", "before the final steps"])
+@pytest.mark.parametrize(
+    "steps", [pytest.param(20, marks=pytest.mark.slow), 60], ids=["amid the fit", "before the final steps"]
+)
 def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, whole, tmp_path, steps):
     def stop(progress):
         if progress.done > steps / whole.steps:

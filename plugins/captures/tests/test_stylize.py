@@ -80,7 +80,7 @@ def test_a_branch_inside_of_the_network_colors_a_fitted_scene(orbit):
     results = anystyle.stylize(
         orbit, "red dots", model="tiny", poses=PoseOptions("sfm"), reconstruction=Fit(**QUICK), views=VIEWS
     )
-    unstyled = results.restyler.unstyled
+    unstyled = results.run.unstyled
     styled = results[0].gaussians
     assert torch.equal(styled.means, unstyled.means) and not torch.equal(styled.harmonics, unstyled.harmonics)
 

@@ -22,7 +22,7 @@ from anystyle.pipeline.export import export, in_axes
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
-from tests.support.export_readers import SPLAT_TRANSFORM, read_with_gaussforge
+from tests.support.export_readers import SPLAT_TRANSFORM
 from tests.support.export_scene import LEAST, picture, psnr, scene
 
 READ = ("ksplat", "ply", "sog", "splat", "spz")
@@ -47,9 +47,6 @@ def test_files_of_gaussforge_are_read(name, version, tmp_path):
     found = read_saved(tmp_path / f"theirs.{name}", "opencv").styles[-1][1]
     assert found.harmonics.shape == gaussians.harmonics.shape
     assert psnr(picture(found), picture(gaussians)) > QUANTISED[name]
-    export(gaussians, tmp_path / f"ours.{name}", name)
-    back = read_with_gaussforge(tmp_path / f"ours.{name}", tmp_path)
-    assert psnr(picture(back), picture(gaussians)) > LEAST[name]
 
 
 @pytest.mark.skipif(SPLAT_TRANSFORM is None, reason="npm install -g @playcanvas/splat-transform")

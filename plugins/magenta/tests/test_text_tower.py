@@ -58,7 +58,7 @@ def test_the_report_says_what_was_made_of_a_text(tmp_path, caplog):
     with caplog.at_level("WARNING"):
         (result,) = anystyle.stylize(views, "blue flubber swirls", video={"frames": 2})
     assert "never learnt: flubber" in caplog.text
-    result.save(tmp_path / "out")
+    anystyle.save(result, tmp_path / "out")
     (text,) = json.loads((tmp_path / "out" / "report.json").read_text())["texts"]
     assert text["text"] == "blue flubber swirls" and text["unknown_words"] == ["flubber"]
     assert text["description"] in FILE.read_text().splitlines() and -1 <= text["similarity"] <= 1

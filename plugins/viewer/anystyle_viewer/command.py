@@ -61,7 +61,7 @@ class View(Command):
     def __call__(self, words: Sequence[str]) -> None:
         arguments, overrides = split(parser(), words)
         if arguments.input is None:
-            raise UserError("name what to look at, such as a folder of results: anystyle view out/")
+            raise UserError("name a scene, as in anystyle view out/; to make one in the browser, anystyle app")
         if arguments.html is not None:
             _write_page(arguments, overrides)
         else:

@@ -166,8 +166,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
     def _add_save_controls(self) -> None:
         gui = self.viser.gui
         with gui.add_folder("Save", expand_by_default=False, order=4):
-            names = [name for name in catalog().names("format") if not catalog().find("format", name).load().index]
-            self.format = gui.add_dropdown("Format", names)
+            self.format = gui.add_dropdown("Format", catalog().names("format"))
             save = gui.add_button("Download", icon=viser.Icon.DOWNLOAD)
             gui.add_markdown("The command line of what is shown:")
             self.command = gui.add_markdown("")

@@ -257,7 +257,7 @@ def test_a_path_of_keyframes_is_previewed_and_rendered(viewer, page, tmp_path):
 def test_a_download_holds_what_is_shown(name, viewer, page, tmp_path):
     paint(page, "red dots")
     expand(page, "Save", "Download")
-    assert viewer.format.options == tuple(name for name in catalog().names("format") if name != "lod")
+    assert viewer.format.options == tuple(catalog().names("format"))
     viewer.format.value = name
     with page.expect_download() as download:
         page.get_by_role("button", name="Download", exact=True).click()

@@ -86,25 +86,31 @@ def require_pixels(image: Image.Image, longest: int) -> None:
 
 
 def rounded_to_8_bits(image: Image.Image, source: Picture) -> Image.Image:
-    """Colours of 16 bits rounded to 8, which Pillow would cut off, or mix up where planes are stored one by one.
+    """Colours of 16 bits rounded to 8, which Pillow would truncate, or mix up where planes are stored separately.
 
     Other images are returned as they are; ``source`` is what the image was opened from.
     """
-    tags = getattr(image, "tag_v2", {})
-    bits = max(tags.get(ExifTags.Base.BitsPerSample, (8,))) if tags else 16 * (";16" in str(getattr(image, "tile", "")))
+    bits = _bits(image)
     if bits == 32 and image.mode == "I":
         raise UserError("levels of 32 bits are not read; save it with 8 or 16 bits")
     if bits != 16 or image.mode not in ("RGB", "RGBA"):
         return image
     require(40 * image.width * image.height, f"{image.width} x {image.height} pixels of 16 bits", "make it smaller")
     data = source if isinstance(source, bytes) else source.read_bytes()
-    with av.open(io.BytesIO(data), "r", format="tiff_pipe" if tags else "png_pipe") as container:
+    with av.open(io.BytesIO(data), "r", format="tiff_pipe" if image.format == "TIFF" else "png_pipe") as container:
         frame = next(container.decode(video=0))
     levels = frame.to_ndarray(format="rgba64le" if image.mode == "RGBA" else "rgb48le")
     rounded = Image.fromarray(((levels.astype(np.uint32) + 128) // 257).astype(np.uint8))
     rounded.info["icc_profile"] = image.info.get("icc_profile")
     rounded.getexif()[ExifTags.Base.Orientation] = image.getexif().get(ExifTags.Base.Orientation, 1)
     return rounded
+
+
+def _bits(image: Image.Image) -> int:
+    """Bits of a channel in the file: TIFF has a tag for it, and Pillow's decoder of PNG is called ``RGB;16B``."""
+    if image.format == "TIFF":
+        return max(getattr(image, "tag_v2", {}).get(ExifTags.Base.BitsPerSample, (8,)))
+    return 16 if ";16" in str(getattr(image, "tile", "")) else 8
 
 
 def _too_large(image: Image.Image) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -70,11 +71,11 @@ class Film:
                 f"{options.path}: {self.frames} frames at video.fps={options.fps}; a film has at most {MAX_FRAMES}"
             )
 
-    def write(self, scene: StyledScene, path: Path, render: Render) -> None:
+    def write(self, scene: StyledScene, path: Path, render: Render, stop: Event | None = None) -> None:
         """Write the film of a scene in its last style, whole or not at all, and its stills beside it.
 
         Raises:
-            UserError: The scene has no cameras.
+            UserError: The scene has no cameras, or another thread has set ``stop``.
         """
         if not scene.names:
             raise UserError(f"{path}: a film needs the cameras of the scene, and there are none in it or beside it")
@@ -86,6 +87,8 @@ class Film:
 
         def frames() -> Iterator[Float[Tensor, "3 H W"]]:
             for index, frame in enumerate(self.images(gaussians, seen, confidence, render)):
+                if stop is not None and stop.is_set():
+                    raise UserError(f"{path} is not needed any more")
                 if index in kept:
                     with atomic_path(path.parent / "stills" / f"frame_{index:05d}.jpg") as still:
                         to_pil(frame).save(still, "JPEG", quality=QUALITY, subsampling=0)
@@ -198,13 +201,13 @@ class Flight(NamedTuple):
     times: Float[np.ndarray, " V"]
 
 
-class _Frame(msgspec.Struct):
+class _Keyframe(msgspec.Struct):
     camera_to_world: Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
     fov: Annotated[float, msgspec.Meta(gt=0, lt=180)]
 
 
 class _File(msgspec.Struct):
-    camera_path: Annotated[list[_Frame], msgspec.Meta(max_length=MAX_FRAMES)]
+    camera_path: Annotated[list[_Keyframe], msgspec.Meta(max_length=MAX_FRAMES)]
     camera_type: str = "perspective"
     fps: Positive | None = None
     seconds: Positive | None = None

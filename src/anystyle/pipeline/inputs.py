@@ -28,13 +28,13 @@ class SavedScene:
 
 
 @dataclass(frozen=True)
-class Given:
+class InMemory:
     """Views of one scene, in memory."""
 
     views: Views
 
 
-Inputs = Photographs | SavedScene | Given
+Inputs = Photographs | SavedScene | InMemory
 GivenInputs = str | Path | Sequence[str | Path] | Views
 """How Python names inputs: a folder, files, a pattern, a video or a saved scene; or views of one scene."""
 
@@ -42,7 +42,7 @@ GivenInputs = str | Path | Sequence[str | Path] | Views
 def inputs_of(given: GivenInputs) -> Inputs | None:
     """What is given: one path may be a saved scene, others are photographs; ``None`` for no path."""
     if isinstance(given, Views):
-        return Given(given)
+        return InMemory(given)
     paths = tuple(map(Path, [given] if isinstance(given, (str, Path)) else given))
     if len(paths) == 1 and is_saved(paths[0]):
         return SavedScene(paths[0])

@@ -3,7 +3,7 @@
 import contextlib
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -213,6 +213,12 @@ class LoadedModel:
     poses: str
     weights: dict[str, dict[str, Any]]
     named: bool = True
+
+    @property
+    def networks(self) -> dict[str, dict[str, Any]]:
+        """What was loaded, the networks of the method with it."""
+        own = [asdict(source) for source in self.method.sources]
+        return self.weights | {entry["network"]: entry for entry in own if entry["file"]}
 
 
 def load_model(

@@ -16,7 +16,7 @@ from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
 from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
-from anystyle.pipeline.inputs import Given, Photographs, SavedScene
+from anystyle.pipeline.inputs import InMemory, Photographs, SavedScene
 from anystyle.pipeline.load import LoadedModel, make_scenes
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, photographs
@@ -72,7 +72,7 @@ def read(request: Request, model: LoadedModel, stages: Stages) -> ReadViews | Re
             return read_splat(path, model.stylizer, options, request.splat, stages)
         case Photographs(paths):
             return _photographs(paths, backbone, options, poses, model.reconstruction, stages)
-        case Given(views):
+        case InMemory(views):
             return _in_memory(views, backbone, poses, model.reconstruction)
         case None:
             views = first_views(request.config, options)
@@ -154,7 +154,7 @@ def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, 
             f"of {report['photographs']} of {len(given.sources)} photographs: {report['transparent']:.0%} of the "
             f"pixels are empty, {report['ignored']:.0%} are ignored",
         )
-    if not given.reconstruction.needs_cameras and (report or views.counted is not None):
+    if not given.reconstruction.needs_cameras and (report or views.valid is not None):
         _log.warning(
             "the single pass knows no masks: what is transparent is white in it, and what masks ignore is in the "
             "scene; reconstruction=fit builds neither"

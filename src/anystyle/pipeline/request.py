@@ -24,7 +24,8 @@ from anystyle.types import Style
 class Request:
     """What a stylization is asked for.
 
-    The command line (:mod:`anystyle.pipeline.words`), :func:`anystyle.stylize` and the viewer make one of these.
+    The command line (:mod:`anystyle.pipeline.words`), :func:`anystyle.stylize`, the viewer and the app make one of
+    these.
 
     Args:
         inputs: Photographs, a saved scene or views in memory; ``None`` for the configured ``scenes``.

@@ -33,7 +33,7 @@ DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
-Origin = Literal["stored", "chosen"]
+CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 
 
@@ -55,7 +55,7 @@ class ReadSplat:
     gaussians: Gaussians
     cameras: Cameras
     sources: tuple[SourceImage, ...]
-    origin: Origin
+    origin: CameraOrigin
     file: Path | None
     notes: tuple[str, ...]
     made_of: tuple[Entry, ...]
@@ -80,7 +80,7 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
 
 def cameras_of(
     path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, side: int
-) -> tuple[Cameras, tuple[SourceImage, ...], Origin]:
+) -> tuple[Cameras, tuple[SourceImage, ...], CameraOrigin]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
     Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. Beside the

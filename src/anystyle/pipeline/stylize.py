@@ -20,10 +20,12 @@ from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.read import read
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.results import Results
+from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.results import Results, StylizeRun
+from anystyle.pipeline.save import Failures, write
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, embed_styles
-from anystyle.pipeline.words import digest
+from anystyle.pipeline.words import digest, recorded
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style
 
@@ -66,11 +68,12 @@ def stylize(
         method: How the scene takes a style: the name of a plugin or a preset, such as ``nnfm``, or an instance.
             ``None`` is the model's configuration, and the single pass for a stylizer.
         controls: How each style is applied; of several, each gives a result.
-        out: A folder to write all results to; without one each is written when it is saved. One that holds results of
+        out: A folder to write all results to; without one :func:`anystyle.save` does. One that holds results of
             another request is refused, and so is one that another process is writing results to.
         overwrite: Whether results of another request in ``out`` are deleted when the new ones are written.
         export: Which files a result has.
-        video: Options of the film of each result, such as ``{"path": "orbit"}``: those of the format ``mp4``.
+        video: Options of the film of each result, such as ``{"path": "orbit"}``: those of
+            :class:`~anystyle.pipeline.options.VideoOptions`.
         seed: The seed of random numbers.
         stages: Times and reports the work.
 
@@ -103,27 +106,30 @@ def stylize(
     stages = stages or Stages()
     request.check()
     torch.manual_seed(request.seed)
-    again = None if in_memory else digest(request)
-    with contextlib.nullcontext() if out is None else _results_folder(Path(out), request, overwrite, again) as folder:
+    known = not in_memory
+    asked = {"request": recorded(request) if known else None, "request_sha256": digest(request) if known else None}
+    with _results_folder(out, request, overwrite, asked["request_sha256"]) as folder:
         with stages("load", "the model"):
             loaded = load_model(request, **in_memory)
         with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
             embedded = embed_styles(request.all_styles, loaded.stylizer, request.controls)
         encoded = encode(read(request, loaded, stages), loaded.stylizer, request.views, stages)
-        results = Results(encoded, embedded, loaded, request, stages)
-        if folder is not None:
-            results.write(folder)
-    if out is not None and folder is not None:
-        results.check_written(Path(out), folder)
+        results = Results(StylizeRun(Restyler(encoded, loaded.method), loaded, request, asked, stages), embedded)
+        failures = Failures() if folder is None else write(results, folder)
+    failures.tell(Path(out or ""))
     return results
 
 
 @contextlib.contextmanager
-def _results_folder(out: Path, request: Request, overwrite: bool, again: str | None) -> Iterator[Path]:
+def _results_folder(out: str | Path | None, request: Request, overwrite: bool, again: object) -> Iterator[Path | None]:
     """A temporary folder whose files move to ``out``, which is refused before the work begins if it is not free.
 
     It is free for a request of the digest ``again`` whose results it holds: the same files are made again.
     """
+    if out is None:
+        yield None
+        return
+    out = Path(out)
     single = len(request.all_styles) * len(request.controls) == 1
     names = ("renders", "scene.ply", *(("sparse",) if request.export.colmap != "none" else ())) if single else ()
     busy = f"another run writes its results to {out}; wait for its end, or give another --out"

@@ -16,7 +16,7 @@ from anystyle.cli.arguments import is_override, new_parser, split
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.pipeline.controls import Controls, Mask, combinations
-from anystyle.pipeline.inputs import Given, SavedScene, inputs_of
+from anystyle.pipeline.inputs import InMemory, SavedScene, inputs_of
 from anystyle.pipeline.request import Request
 from anystyle.pipeline.styles import Mixture, Named, StyleInput, check_text
 from anystyle.registry.compose import override
@@ -57,7 +57,7 @@ def args_of(request: Request) -> list[str]:
         UserError: Views or styles are in memory, or controls are not all combinations of their values.
     """
     match request.inputs:
-        case Given():
+        case InMemory():
             raise UserError("views in memory have no command line; give their files")
         case SavedScene(path):
             paths = [str(path)]

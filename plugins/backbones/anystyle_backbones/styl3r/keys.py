@@ -10,12 +10,11 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from math import isqrt
 
-import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import Published
 from anystyle.errors import UserError
-from anystyle_backbones.published import checked_parts, count, fusion_rules, length, load_renamed, renamed
+from anystyle_backbones.published import checked_parts, count, first_names, fusion_rules, length, load_renamed, renamed
 
 LAYOUT = "Styl3R; choose model=styl3r"
 PUBLISHER = "Styl3R's"
@@ -28,8 +27,8 @@ MARKS = (
     "backbone.dec_blocks2.0.cross_attn.projq.weight",
 )
 """Tensors that no other network has."""
-ALIAS = re.compile(r"^(.*\.dpt\.scratch\.)layer_rn\.(\d)\.weight$")
-"""Second names of tensors."""
+SECOND = tuple((rf"\.scratch\.layer_rn\.{level}\.", f".scratch.layer{level + 1}_rn.") for level in range(4))
+"""From second names of tensors to the first."""
 UNUSED = re.compile(r"\.mask_token$|\.refinenet4\.resConfUnit1\.")
 """What the published network holds and never reads."""
 
@@ -92,7 +91,7 @@ class Styl3rCheckpoints(Published):
         checked_parts(bare, PARTS, publisher=PUBLISHER, advice=advice)
         if missing := [name for name in MARKS if name not in bare]:
             raise UserError(f"the checkpoint has no {missing[0]}: it is not {PUBLISHER}; {advice}")
-        return bare
+        return first_names(bare, SECOND)
 
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         options = options_of(self.without_prefix(state))
@@ -109,13 +108,7 @@ class Styl3rCheckpoints(Published):
 
     def load(self, part: str, module: nn.Module, state: Mapping[str, Tensor]) -> None:
         """Load a part; all three are in one file, and those on the meta device share its tensors."""
-        bare = self.without_prefix(state)
-        aliases = {name: match for name in bare if (match := ALIAS.match(name))}
-        for name, match in aliases.items():
-            first = f"{match[1]}layer{int(match[2]) + 1}_rn.weight"
-            if first in bare and not torch.equal(bare[first], bare[name]):
-                raise UserError(f"the checkpoint's {name} and {first} are one tensor, and differ; get the file again")
-        given = {name: tensor for name, tensor in bare.items() if name not in aliases and not UNUSED.search(name)}
+        given = {name: tensor for name, tensor in self.without_prefix(state).items() if not UNUSED.search(name)}
         own = module.state_dict()
         names = published_names(own, part)
         if all(name in given and own[key].data_ptr() == given[name].data_ptr() for key, name in names.items()):

@@ -1,22 +1,21 @@
 """The stylizer's encoder of style images."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import StyleEncoder
-from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne
 from anystyle.types import Tokens
 from anystyle.vision.preprocess import middle_squares
 from anystyle_backbones.styl3r.keys import Styl3rCheckpoints
 from anystyle_backbones.styl3r.transformer import ImageEncoder, symmetric
+from anystyle_backbones.style_images import StyleImages
 
 
-class Styl3rStyle(StyleEncoder):
+class Styl3rStyle(StyleImages):
     """Tokens of a style image, for ``model=styl3r``; its vector is their mean. It reads no texts.
 
     Args:
@@ -33,8 +32,7 @@ class Styl3rStyle(StyleEncoder):
         rope_base: Base of the frequencies of the rotary position embedding.
     """
 
-    unit_norm = False
-    reads_texts = False
+    network = "Styl3R"
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -63,28 +61,9 @@ class Styl3rStyle(StyleEncoder):
         Styl3rCheckpoints().load("style_encoder", self, state)
 
     def embed_tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
-        """Tokens of sRGB images in [0, 1]."""
         squares = images if self.resolution is None else middle_squares(images, self.resolution)
         return self.encoder((squares if self.style_range == "unit" else symmetric(squares))[:, None])
 
-    def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """The means of the tokens of sRGB images in [0, 1]."""
-        return self.embed_both(images)[0]
-
-    def embed_both(self, images: Float[Tensor, "M 3 H W"]) -> tuple[Float[Tensor, "M D"], Tokens]:
-        tokens = self.embed_tokens(images)
-        return tokens.data.mean((1, 2)), tokens
-
-    def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """The embedding of a grey image for the neutral prompt.
-
-        Raises:
-            UserError: Another text is given.
-        """
-        if other := next((text for text in texts if text != self.neutral), None):
-            raise UserError(f"{other[:40]!r}: Styl3R reads style images, no texts; give an image")
-        if not texts or not all(texts):
-            raise UserError("a text is empty; give an image of the style")
+    def grey_tokens(self) -> Tokens:
         side = self.resolution or 16 * self.encoder.patch_size
-        grey = self.encoder.norm.weight.new_full((1, 3, side, side), 0.5)
-        return self.embed_images(grey).expand(len(texts), -1)
+        return self.embed_tokens(self.encoder.norm.weight.new_full((1, 3, side, side), 0.5))

@@ -4,14 +4,13 @@ import logging
 import re
 from collections.abc import Iterable, Mapping
 
-import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import Published
 from anystyle.errors import UserError
 from anystyle_backbones.anysplat import keys as anysplat
 from anystyle_backbones.anysplat.transformer import DinoV2
-from anystyle_backbones.published import checked_parts, count, dpt_rules, load_renamed, renamed
+from anystyle_backbones.published import checked_parts, count, dpt_rules, first_names, load_renamed, renamed
 
 _log = logging.getLogger(__name__)
 
@@ -19,6 +18,8 @@ LAYOUT, PUBLISHER = "Stylos", "Stylos'"
 STYLE, STYLE_HEAD = "style_aggregator.", "style_gaussian_param_head."
 PARTS = (*anysplat.BACKBONE_PARTS, STYLE, STYLE_HEAD)
 PATCHES = "aggregator.patch_embed."
+SECOND = ((rf"^{STYLE}aggregator\.", "aggregator."), (rf"^{STYLE}patch_embed\.", PATCHES))
+"""From second names of tensors, which the style aggregator has of the aggregator's, to the first."""
 DROPPED = re.compile(r"(losses\.\d+\.(net\.enc_\d|clip_model)|distill_(aggregator|camera_head|depth_head))\.")
 """What training keeps beside the network: AdaIN's VGG, CLIP, and the teacher."""
 
@@ -62,12 +63,7 @@ class StylosCheckpoints(Published):
         checked_parts(bare, PARTS, publisher=PUBLISHER, advice=advice)
         if any(name.startswith((f"{STYLE_HEAD}shallow_extractor.", f"{STYLE_HEAD}cross_attn.")) for name in bare):
             raise UserError("the checkpoint's style head is of the type crossattn, which no configuration names")
-        for second in [name for name in bare if name.startswith((f"{STYLE}aggregator.", STYLE + "patch_embed."))]:
-            first = re.sub(r"^style_aggregator\.(aggregator\.)?", "aggregator.", second)
-            tensor = bare.pop(second)
-            if not _same(bare.setdefault(first, tensor), tensor):
-                raise UserError(f"the checkpoint's {second} is not its {first}; published networks share the two")
-        return bare
+        return first_names(bare, SECOND)
 
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         options = options_of(self.without_prefix(state))
@@ -96,10 +92,6 @@ class StylosCheckpoints(Published):
             return
         given = {name: given[name] for name in given if name.startswith(prefixes) and name not in anysplat.UNUSED}
         load_renamed(module, given, names, what=part.replace("_", " "), layout=LAYOUT)
-
-
-def _same(one: Tensor, other: Tensor) -> bool:
-    return one is other or (one.dtype == other.dtype and torch.equal(one, other))
 
 
 PUBLISHED_TAPS, PUBLISHED_DEPTH, VOXEL_SIZE = (2, 5, 8, 11), 12, 0.002

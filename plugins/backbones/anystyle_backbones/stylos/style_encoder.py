@@ -1,26 +1,26 @@
 """The style encoder: the backbone's own DINOv2, whose tokens of a style image the style aggregator reads."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import StyleEncoder
 from anystyle.errors import UserError
 from anystyle.nn.attention import Block
 from anystyle.nn.tokens import grid_of, normalised
 from anystyle.types import Tokens
 from anystyle.vision.preprocess import middle_square, resized
 from anystyle_backbones.anysplat.transformer import DinoV2
+from anystyle_backbones.style_images import StyleImages
 from anystyle_backbones.stylos.keys import StylosCheckpoints
 
 PATCH, GREY = 14, 112
 """Sides in pixels of a patch, and of the grey picture that stands for no style."""
 
 
-class StylosStyle(StyleEncoder):
+class StylosStyle(StyleImages):
     """Style images as the tokens of DINOv2 ViT-L/14 with registers, the one in Stylos; it reads no texts.
 
     The vector of an image is the mean of its tokens, and that of the neutral prompt a mid-grey picture's.
@@ -35,7 +35,7 @@ class StylosStyle(StyleEncoder):
         neutral: The prompt that stands for no style, the only text.
     """
 
-    unit_norm, reads_texts = False, False
+    network = "Stylos"
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -67,24 +67,12 @@ class StylosStyle(StyleEncoder):
             images = middle_square(resized(images, side, mode="bicubic")).clamp(0, 1)
         return self._tokens(images)
 
-    def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        return self.embed_both(images)[0]
+    def grey_tokens(self) -> Tokens:
+        return self._tokens(self.patches.pos_embed.new_full((1, 3, GREY, GREY), 0.5))
 
-    def embed_both(self, images: Float[Tensor, "M 3 H W"]) -> tuple[Float[Tensor, "M D"], Tokens]:
-        tokens = self.embed_tokens(images)
-        return tokens.data.mean((1, 2)), tokens
-
-    def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        unread = [text for text in texts if text != self.neutral]
-        if unread or not texts:
-            raise UserError(f"{str(unread[:1])[1:-1] or 'no text'}: Stylos reads style images, no texts; give an image")
-        grey = self.patches.pos_embed.new_full((1, 3, GREY, GREY), 0.5)
-        return self._tokens(grey).data.mean((1, 2)).expand(len(texts), -1)
+    def _tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
+        tokens = self.patches(normalised(images.to(self.patches.pos_embed.dtype)))
+        return Tokens(tokens[:, None], grid_of(images, PATCH))
 
     def load_published(self, state: Mapping[str, Tensor]) -> None:
         StylosCheckpoints().load("style_encoder", self, state)
-
-    def _tokens(self, images: Float[Tensor, "M 3 H W"]) -> Tokens:
-        grid = grid_of(images, PATCH)
-        tokens = self.patches(normalised(images.to(self.patches.pos_embed.dtype)))
-        return Tokens(tokens[:, None], grid)

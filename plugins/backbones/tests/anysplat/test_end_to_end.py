@@ -13,11 +13,11 @@ from torch import Tensor
 from anystyle.branch import StyleBranch
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.placements import Full, Head
-from anystyle.testing.oracle import fill_named, smooth_image
+from anystyle.testing.oracle import fill_named
 from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens, Views
 from anystyle_backbones.anysplat import AnySplat, keys
 from tests.support import anysplat_reference as reference
-from tests.support.oracle import golden
+from tests.support.oracle import golden, image
 
 CHECKPOINTS = keys.AnySplatCheckpoints()
 PLACEMENTS = {"head": Head(), "agg": Full()}
@@ -84,12 +84,10 @@ def tiny() -> Network:
     return network
 
 
-def inputs(record: Mapping[str, Any]) -> tuple[Views, StyleEmbedding]:
-    index, shape = re.fullmatch(r"IMG\((\d+),\[(.*)\]\)", record["inputs"]["images"]).groups()
-    rows, dim = re.search(r"in\((\d+),\[(\d+),512\]", record["inputs"]["z"]).groups()
-    vector = reference.style_vector(int(rows), int(dim))
-    images = smooth_image(int(index), [int(length) for length in shape.split(",")])
-    return Views(images), StyleEmbedding(vector, vector)
+def embedding_of(record: Mapping[str, Any]) -> StyleEmbedding:
+    index, rows = re.search(r"in\((\d+),\[(\d+),512\]", record["inputs"]["z"]).groups()
+    vector = reference.style_vector(int(index), int(rows))
+    return StyleEmbedding(vector, vector)
 
 
 def check_raw(attributes: Attributes, record: Mapping[str, Any], name: str) -> None:
@@ -99,28 +97,22 @@ def check_raw(attributes: Attributes, record: Mapping[str, Any], name: str) -> N
     np.testing.assert_allclose(means, record[f"{name}_channel_mean"], rtol=1e-4, atol=1e-5)
 
 
-def check_scene(network: Network, scene: Scene, record: Mapping[str, Any]) -> None:
-    reference.check_scene(network.backbone, scene, record)
-    check_raw(scene.attributes, record, "raw_base")
-
-
 def encoded(network: Network, case: str) -> Scene:
     """The scene of a case, encoded once."""
     if case not in network.scenes:
         record = network.golden[case]
         network.backbone.adapter.voxel_size = record["voxel_size"]
         with torch.no_grad():
-            network.scenes[case] = network.backbone.encode(inputs(record)[0])
+            network.scenes[case] = network.backbone.encode(Views(image(record["inputs"]["images"])))
     return network.scenes[case]
 
 
 def check_case(network: Network, case: str) -> None:
     record = network.golden[case]
-    voxel_size = record["voxel_size"]
-    _, embedding = inputs(record)
-    scene = encoded(network, case)
+    voxel_size, embedding, scene = record["voxel_size"], embedding_of(record), encoded(network, case)
     with torch.no_grad():
-        check_scene(network, scene, record["base"])
+        reference.check_scene(network.backbone, scene, record["base"])
+        check_raw(scene.attributes, record["base"], "raw_base")
         unstyled = network.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
         reference.check_gaussians(scene, unstyled, record["unstyled"]["gaussians"], voxel_size)
         for placement, branch in network.branches.items():
@@ -159,8 +151,7 @@ def test_a_small_network(tiny: Network, case: str) -> None:
 @pytest.mark.parametrize("placement", PLACEMENTS)
 def test_a_fresh_branch_changes_nothing(tiny: Network, placement: str) -> None:
     record = tiny.golden["zero_proj_zero"][f"{placement}_copied_base_and_zero_proj"]
-    _, embedding = inputs(tiny.golden["tiny_v3_56x84"])
-    scene = encoded(tiny, "tiny_v3_56x84")
+    embedding, scene = embedding_of(tiny.golden["tiny_v3_56x84"]), encoded(tiny, "tiny_v3_56x84")
     sites = PLACEMENTS[placement].select(tiny.backbone.sites)
     branch = StyleBranch(tiny.backbone, sites=sites, make_injector=lambda site: ZeroConv(dim=site.dim, style_dim=512))
     with torch.no_grad():

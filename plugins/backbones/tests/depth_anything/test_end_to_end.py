@@ -12,6 +12,7 @@ from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle_backbones.depth_anything import DepthAnything, keys
 from tests.support import depth_anything_reference as reference
+from tests.support import oracle
 
 GOLDEN = reference.record()
 
@@ -41,24 +42,24 @@ def published(name: str, *overrides: str) -> DepthAnything:
 
 
 def run(backbone: DepthAnything, record: Mapping[str, Any]) -> None:
-    images = reference.images(record["inputs"])
+    images = oracle.image(record["inputs"]["images"])
     with torch.no_grad():
         stem = backbone.embedder(images)
         assert chosen(stem.reference) == (record["ref_view_index"] or [0])[0]
         features = backbone.aggregator(stem)
         geometry = backbone.geometry_head(features, images)
     for place, layer in enumerate(backbone.aggregator.taps):
-        reference.check(features[layer].patches, record["feats_patch"][place])
-        reference.check(features[layer].data[:, :, 0], record["feats_camera_token"][place])
-    reference.check(geometry.depth, record["depth"])
-    reference.check(geometry.confidence, record["depth_conf"])
+        oracle.check(features[layer].patches, record["feats_patch"][place])
+        oracle.check(features[layer].data[:, :, 0], record["feats_camera_token"][place])
+    oracle.check(geometry.depth, record["depth"])
+    oracle.check(geometry.confidence, record["depth_conf"])
     reference.check_cameras(geometry.cameras, record)
     if "raw_gs" in record:
         with torch.no_grad():
             attributes = backbone.gaussian_head(features, images)
             gaussians = backbone.adapter(attributes, geometry, backbone.adapter.cluster(geometry, attributes))
-        reference.check(reference.raw_maps(attributes), record["raw_gs"])
-        reference.check(attributes.opacity.sigmoid(), record["raw_gs_conf"])
+        oracle.check(reference.raw_maps(attributes), record["raw_gs"])
+        oracle.check(attributes.opacity.sigmoid(), record["raw_gs_conf"])
         reference.check_gaussians(gaussians, record["gaussians"])
 
 
@@ -80,7 +81,7 @@ def test_tiny(tiny: DepthAnything, case: str) -> None:
 def test_the_range_of_similarities_chooses_one_of_the_two_views_most_alike(tiny: DepthAnything) -> None:
     record = GOLDEN["tiny"]["v4_saddle_sim_range"]
     tiny.embedder.reference = "saddle_sim_range"
-    images = reference.images(record["inputs"])
+    images = oracle.image(record["inputs"]["images"])
     with torch.no_grad():
         assert chosen(tiny.embedder(images).reference) in (0, 2)
         # The pair of scenes shows that it is chosen by scene: turned round, the two are elsewhere.

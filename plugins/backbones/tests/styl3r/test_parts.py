@@ -22,6 +22,7 @@ from anystyle_backbones.styl3r import Styl3r
 from anystyle_backbones.styl3r.losses import Identity
 from anystyle_backbones.styl3r.pointmaps import cameras_of, focal_of, points_of
 from anystyle_backbones.styl3r.transformer import angles_of
+from tests.support import oracle
 from tests.support import styl3r_reference as reference
 from tests.support.style_cases import filled_vgg_file
 from tests.support.style_cases import stylization as stylized
@@ -33,7 +34,7 @@ def test_rope() -> None:
     record = GOLDEN["rope"]
     tokens = hashed(290, (1, 2, 6, 16), -1, 1)
     angles = rotary(torch.tensor(record["positions"]).float(), 16, base=100.0, like=tokens)
-    reference.check(rotate(tokens, angles), record["rotated"], "rope")
+    oracle.check(rotate(tokens, angles), record["rotated"], "rope")
 
 
 def test_the_intrinsics_stand_below_the_first_column() -> None:
@@ -68,12 +69,10 @@ def test_adapter() -> None:
     gaussians = adapter(attributes, geometry, None)
     assert torch.equal(gaussians.means[0], means)
     torch.testing.assert_close(gaussians.opacities[0], opacities, rtol=1e-5, atol=1e-6)
-    reference.check(gaussians.scales[0], record["scales"], "scales")
-    reference.check(gaussians.rotations[0].roll(-1, dims=-1), record["rotations"], "rotations_xyzw")
-    reference.check(
-        covariances(gaussians.rotations, gaussians.scales)[0].flatten(1), record["covariances"], "covariances"
-    )
-    reference.check(gaussians.harmonics[0].mT.flatten(1), record["harmonics"], "harmonics")
+    oracle.check(gaussians.scales[0], record["scales"], "scales")
+    oracle.check(gaussians.rotations[0].roll(-1, dims=-1), record["rotations"], "rotations_xyzw")
+    oracle.check(covariances(gaussians.rotations, gaussians.scales)[0].flatten(1), record["covariances"], "covariances")
+    oracle.check(gaussians.harmonics[0].mT.flatten(1), record["harmonics"], "harmonics")
     assert bool((gaussians.scales == 0.3).any()) and bool((gaussians.scales < 0.3).any())
 
 
@@ -87,7 +86,7 @@ def as_file(images: Tensor) -> Tensor:
 )
 def test_style_pictures_are_cut_as_published(name: str, index: int, shape: tuple[int, ...]) -> None:
     pictures = as_file(smooth_image(index, shape))[None]
-    reference.check(middle_squares(pictures, 256)[0], GOLDEN["preprocessing"][name], "preprocessing")
+    oracle.check(middle_squares(pictures, 256)[0], GOLDEN["preprocessing"][name], "preprocessing")
     learnt = middle_squares(pictures.clone().requires_grad_(), 256)
     assert learnt.requires_grad and float((learnt.detach() - middle_squares(pictures, 256)).abs().mean()) < 0.02
 
@@ -100,11 +99,11 @@ def test_photographs_are_cut_as_published() -> None:
     height, width = round(90 * scale), round(161 * scale)
     scaled = as_pillow(as_file(images), (height, width), Image.Resampling.LANCZOS)
     top, left = (height - side) // 2, (width - side) // 2
-    reference.check(scaled[..., top : top + side, left : left + side], record["images"], "preprocessing")
+    oracle.check(scaled[..., top : top + side, left : left + side], record["images"], "preprocessing")
     lenses = reference.lenses("K(322,[2])").clone()
     lenses[:, 0, 0] *= width / side
     lenses[:, 1, 1] *= height / side
-    reference.check(lenses, record["intrinsics"], "preprocessing")
+    oracle.check(lenses, record["intrinsics"], "preprocessing")
 
 
 class TestLosses:
@@ -122,7 +121,7 @@ class TestLosses:
         record = GOLDEN["losses"]["vgg"]
         found = networks.load("vgg19")(self.renders.flatten(0, 1), list(record))
         for features, expected in zip(found, record.values(), strict=True):
-            reference.check(features, expected, "vgg")
+            oracle.check(features, expected, "vgg")
 
     def test_the_objective_is_made_of_options(self) -> None:
         record, result = GOLDEN["losses"], self.result()

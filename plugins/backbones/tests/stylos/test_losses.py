@@ -13,7 +13,7 @@ from anystyle.testing.oracle import fill_named, hashed
 from anystyle.types import Renders, Style, Stylization, Views
 from anystyle.vision.vgg import AdainVGG
 from anystyle_backbones.stylos.losses import AdainVoxels, DiagonalVariation
-from tests.support import anysplat_reference, stylos_reference
+from tests.support import anysplat_reference, oracle, stylos_reference
 
 RECORD = stylos_reference.record()["losses"]
 POOLS = {"image": "image", "scene": "scene", "3d": "voxels"}
@@ -25,7 +25,7 @@ def given(name: str) -> Tensor:
     """An input ``IMG(index, shape)`` or ``in(index, shape, low, high)``."""
     text = RECORD["inputs"][name]
     if text.startswith("IMG"):
-        return stylos_reference.image(text)
+        return oracle.image(text)
     index, shape, low, high = re.fullmatch(r"in\((\d+),\[(.*)\],(.*),(.*)\)", text).groups()
     return hashed(int(index), [int(side) for side in shape.split(",")], float(low), float(high))
 

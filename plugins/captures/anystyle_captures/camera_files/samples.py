@@ -1,4 +1,4 @@
-"""Small captures as each program writes them: photographs and their cameras, for checks."""
+"""Small captures as each program writes them, for the examples that contracts are checked with, and for tests."""
 
 import json
 from collections.abc import Sequence
@@ -172,3 +172,19 @@ def write_colmap(folder: Path, images: Sequence[Path], world_from_camera: Poses,
         tx, ty, tz = matrix[:3, 3].tolist()
         photographs[number] = colmap.PosedImage(name, 1, (w, x, y, z), (tx, ty, tz))
     colmap.write(colmap.Model({1: colmap.Camera("OPENCV", lens.size, values)}, photographs), folder)
+
+
+def write_wall(folder: Path, num_views: int = 6, size: int = 64) -> None:
+    """Photographs of a coloured wall with cameras in ``transforms.json``: the smallest capture."""
+    (folder / "images").mkdir(parents=True)
+    texture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (24, 24, 3), dtype=np.uint8))
+    wall = texture.resize((4 * size, 4 * size), Image.Resampling.BICUBIC)
+    images = [folder / "images" / f"{view:02d}.png" for view in range(num_views)]
+    poses = np.tile(np.eye(4), (num_views, 1, 1))
+    for view, image in enumerate(images):
+        # Cameras move along the wall at a distance of 2 focal lengths: 1 is half an image.
+        left = size + 4 * view
+        wall.crop((left, size, left + size, 2 * size)).save(image)
+        poses[view, 0, 3] = 2 * left / size
+    lens = Lens((size, size), (size, size), (size / 2, size / 2))
+    write_transforms(folder / "transforms.json", images, [*poses], lens)

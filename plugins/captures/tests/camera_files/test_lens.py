@@ -80,8 +80,7 @@ PARAMETERS = {
 }
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
-@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize(("name", "binary"), [(name, number % 2 == 0) for number, name in enumerate(PARAMETERS)])
 def test_a_photograph_is_undistorted_as_colmap_sees_it(tmp_path, name, binary):
     """Of every model: what pycolmap writes is read, and a photograph of its rays becomes a pinhole camera's."""
     pycolmap = pytest.importorskip("pycolmap")

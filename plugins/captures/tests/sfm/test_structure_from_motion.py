@@ -71,6 +71,7 @@ def test_any_order_of_photographs_gives_the_same_cameras(orbit, solved, tmp_path
     assert not solve(exchanged, keep=True, ordered=True).cached
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_gives_the_same_cameras():
     """In real photographs, whose equations the solver sums in another order on more threads."""
     photographs = []

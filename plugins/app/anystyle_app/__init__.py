@@ -1,0 +1,1 @@
+"""A Gradio app that makes scenes; needs the extra ``app``."""

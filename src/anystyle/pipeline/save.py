@@ -1,0 +1,217 @@
+"""The last step: the files of results."""
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
+from pathlib import Path
+from threading import Event
+
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from anystyle.contracts import Format
+from anystyle.errors import UserError, one_line
+from anystyle.formats import comments
+from anystyle.io import ply
+from anystyle.io.atomic import atomic_directory, write_json
+from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
+from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.film import Film
+from anystyle.pipeline.results import Result, Results, StylizeRun, pictures
+from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, write_colmap
+from anystyle.registry.catalog import catalog
+from anystyle.types import Cameras, SourceImage, StyledScene
+
+WRITTEN = "scene, renders and video"
+"""The progress line while a result is written."""
+
+Column = tuple[str, Cell, Sequence[Cell]]
+"""Of a sheet: title, style image if there is one, renders as small as its cells."""
+
+
+def save(results: Results | Result, folder: str | Path) -> None:
+    """Write results and what they have in common, or one; files of the same names are replaced, all or none.
+
+    A single result lies in the folder itself, several in folders of their own beside a sheet of all.
+
+    Raises:
+        UserError: A format cannot hold the scene; all other files are in the folder.
+    """
+    with atomic_directory(folder) as temporary:
+        if isinstance(results, Results):
+            failures = write(results, temporary)
+        else:
+            writer = _ResultWriter(results.run, temporary)
+            with results.run.stages("write", WRITTEN):
+                writer.write(results, temporary)
+            failures = writer.failures
+    failures.tell(Path(folder))
+
+
+class Failures:
+    """What formats could not write, while all other files were: a result is whole without it."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.bug: Exception | None = None
+        """The first error that no format should raise."""
+
+    def add(self, file: str, error: Exception) -> None:
+        """Note that a file could not be written."""
+        # As text: a traceback would keep the Gaussians of every style in memory.
+        self.lines.append(f"{file}: {one_line(error)}")
+        if self.bug is None and not isinstance(error, (UserError, ImportError)):
+            self.bug = error
+
+    def tell(self, folder: Path) -> None:
+        """Raise what could not be written into a folder, if anything: a UserError, or the bug of a format."""
+        if not self.lines:
+            return
+        told = f"{'; '.join(self.lines)}; not written, and all else is in {folder}"
+        if self.bug is None:
+            raise UserError(told)
+        self.bug.add_note(told)
+        raise self.bug
+
+
+def write(results: Results, folder: Path) -> Failures:
+    """Write all results into a folder that has none of their files, and return what formats could not write."""
+    run, several = results.run, len(results) > 1
+    writer = _ResultWriter(run, folder, several=several)
+    written: list[Future[Column]] = []
+    columns, styles, report = [*writer.before], [("unstyled", run.unstyled)], {}
+
+    def wait() -> list[Column]:
+        with run.stages("write", WRITTEN):
+            return [future.result() for future in written]
+
+    # A result is rendered and encoded in a thread while the next one is computed: memory holds two, and no film.
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            for number, result in enumerate(results, start=1):
+                if written:
+                    wait()
+                inside = folder / f"{number:02d}-{result.style.name}" if several else folder
+                written.append(thread.submit(writer.write, result, inside))
+                report = result.report
+                if any(result.shares(kind.shared) for kind in writer.common_formats.values()):
+                    styles.append((result.style.title, result.gaussians))
+            columns += wait()
+        except BaseException:
+            writer.stop.set()
+            raise
+    with run.stages("write", "what the styles have in common"):
+        save_gaussians(run.unstyled, folder / "unstyled.safetensors")
+        if several:
+            writer.write_sheet(folder, columns)
+        for name, kind in writer.common_formats.items():
+            alike = [(title, gaussians) for title, gaussians in styles if gaussians.shares(run.unstyled, kind.shared)]
+            if len(alike) > 1:
+                writer.export(run.scene(alike, results.styles), folder / f"scene.{name}", name)
+    if several:
+        common = {"style": [style.title for style in results.styles], "provenance": run.made_of(results.styles)}
+        write_json(folder / "report.json", report | run.stages.report() | common)
+    return writer.failures
+
+
+class _ResultWriter:
+    """Writes results below a folder; set ``stop`` to end a film that is being written in a thread."""
+
+    def __init__(self, run: StylizeRun, folder: Path, *, several: bool = False) -> None:
+        self.run, self.encoded, self.folder = run, run.encoded, folder
+        self.options, self.film = run.request.export, Film(run.request.video)
+        self.failures, self.stop = Failures(), Event()
+        names = [name for name in self.options.formats if name != "ply"]
+        self.formats: dict[str, type[Format]] = {name: catalog().find("format", name).load() for name in names}
+        # Of a format whose files hold several styles, one lies beside the sheet, with all that share what it asks.
+        self.common_formats = {name: kind for name, kind in self.formats.items() if kind.many_styles and several}
+
+    def write(self, result: Result, folder: Path) -> Column:
+        """Write a result into a folder of its own, and return the column of a sheet over several styles."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self._write_scenes(result, folder)
+        renders = self._write_renders(
+            result, folder / "renders", self.encoded.names, result.cameras, self.encoded.sources
+        )
+        self._write_film(result, folder)
+        self._write_cameras(result, folder)
+        column = (result.style.title, result.style.cell, thumbnails(renders))
+        for picture in pictures([result.style]).values():
+            picture.save(folder / PICTURE, quality=90)
+        self.write_sheet(folder, [*self.before, column])
+        write_json(folder / "report.json", result.report)
+        return column
+
+    def _write_scenes(self, result: Result, folder: Path) -> None:
+        scene, given, as_given = result.scene(), self.encoded.splat, ("means", "rotations", "scales", "opacities")
+        # A trip through float32 logarithms and back moves the last bits.
+        kept = self.options.up in (None, "opencv") and result.shares(as_given)
+        source = given if kept and given is not None and given.suffix.lower() == ".ply" else None
+        colors, notes = result.gaussians.harmonics[0], comments(scene)
+        if source is None or not ply.recolor(source, colors, folder / "scene.ply", notes):
+            export_styles(scene, folder / "scene.ply", "ply", up=self.options.up)
+        for name, kind in self.formats.items():
+            if not (name in self.common_formats and result.shares(kind.shared)):
+                self.export(result.scene(kind.shared), folder / f"scene.{name}", name)
+        save_gaussians(result.gaussians, folder / "scene.safetensors")
+
+    def export(self, scene: StyledScene, path: Path, name: str) -> None:
+        """Write a scene as a file of a format, or note that the format cannot."""
+        try:
+            export_styles(scene, path, name, up=self.options.up)
+        except OSError:  # no room is left, for other files neither
+            raise
+        except Exception as error:  # a bug of a plugin is raised in the end: hours of work may lie behind the results
+            self.failures.add(str(path.relative_to(self.folder)), error)
+
+    def _write_film(self, result: Result, folder: Path) -> None:
+        encoded = self.encoded
+        names, cameras = encoded.targets or (encoded.names, result.cameras)
+        if encoded.targets is not None:
+            self._write_renders(result, folder / "targets", names, cameras)
+        seen = encoded.photographed and encoded.targets is None
+        scene = StyledScene(((result.style.title, result.gaussians),), cameras, tuple(names), photographed=seen)
+        self.film.write(scene, folder / "video.mp4", encoded.stylizer.render, self.stop)
+
+    def _write_cameras(self, result: Result, folder: Path) -> None:
+        encoded, cameras = self.encoded, result.cameras.to("cpu")
+        write_cameras(folder / "cameras.json", cameras, encoded.sources, encoded.offset, encoded.scene_from_known)
+        if self.options.colmap != "none":
+            model, binary = folder / "sparse" / "0", self.options.colmap == "binary"
+            write_colmap(model, result.gaussians, cameras, encoded.sources, binary=binary)
+
+    def _write_renders(
+        self, result: Result, folder: Path, names: Sequence[str], cameras: Cameras, sources: Sequence[SourceImage] = ()
+    ) -> list[Image.Image]:
+        folder.mkdir()
+        renders = _pictures_of(result.render(cameras), sources)
+        for name, image in zip(names, renders, strict=True):
+            save_png(image, folder / f"{name}.png")
+        return renders
+
+    def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
+        """Write ``sheet.png``: photographs, or of a given scene the renders that are its views, and some columns."""
+        title = "photograph" if self.before else "unstyled"
+        save_png(style_sheet(self._photographs, columns, title=title), folder / "sheet.png")
+
+    @cached_property
+    def _photographs(self) -> list[Image.Image]:
+        return thumbnails(_pictures_of(self.encoded.views.images[0], self.encoded.sources))
+
+    @cached_property
+    def before(self) -> list[Column]:
+        """The column of the reconstruction itself, unless the views are renders of it."""
+        if self.encoded.reconstruction["kind"] == "given":
+            return []
+        with self.run.stages("render", "the unstyled scene"):
+            renders = _pictures_of(self.encoded.render(self.run.unstyled), self.encoded.sources)
+            return [("unstyled", None, thumbnails(renders))]
+
+
+def _pictures_of(images: Iterable[Float[Tensor, "3 H W"]], sources: Sequence[SourceImage]) -> list[Image.Image]:
+    """Views as pictures, without what lies beside their photographs."""
+    pictures = map(to_pil, images)
+    if not sources:
+        return list(pictures)
+    return [picture.crop(source.inside) for picture, source in zip(pictures, sources, strict=True)]
