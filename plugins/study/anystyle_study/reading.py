@@ -7,15 +7,17 @@ or whose rating it is in ``method`` (ours or theirs).
 import logging
 import math
 import re
+import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from anystyle.errors import UserError, unknown
+from anystyle.paths import natural
 from anystyle_study.cells import AnswerColumn, plain, scale_words
-from anystyle_study.files import read_sheet
+from anystyle_study.files import plain_name, read_sheet
 from anystyle_study.protocol import Check, Study
 from anystyle_study.wide import long_rows
 
@@ -23,7 +25,8 @@ log = logging.getLogger(__name__)
 
 REQUIRED = ("participant", "item", "question", "score")  # the columns that every table has
 _OPTIONAL = ("study", "side", "ours_is", "method", "scene", "style", "expected", "comparison", "seconds", "comment")
-_BOOKKEEPING = ("time", "session", "device", "revision", "received", "id")
+_OPTIONAL += ("session",)
+_BOOKKEEPING = ("time", "device", "revision", "received", "id")
 _KNOWN = frozenset(("", *REQUIRED, *_OPTIONAL, *_BOOKKEEPING))
 _SUFFIXES = (".csv", ".tsv", ".json")
 _Row = dict[str, str]
@@ -46,6 +49,17 @@ class Answer:
     scene: str = ""  # of the item; empty if unknown
     style: str = ""  # of the item; empty if unknown
     seconds: float = math.nan  # time taken; ``nan`` if unknown
+    source: str = ""  # the file, or the session in it, that has the answer
+
+    @property
+    def cell(self) -> tuple[str, ...]:
+        """What it answers: a person has one answer of each."""
+        return self.participant, self.item, self.question, self.comparison, self.method
+
+    @property
+    def given(self) -> tuple[float, bool]:
+        """The answer: a score means another thing where ours was on the other side."""
+        return self.score, self.ours_is_a
 
     @property
     def is_check(self) -> bool:
@@ -72,17 +86,31 @@ def read_responses(
     labels: Mapping[str, float] = {},
     wide: bool = False,
     columns: Path | None = None,
+    sessions: bool = False,
 ) -> Records:
     """Read answers from files and folders of files; the form's own answers need the study's design.
 
     ``labels`` are the scores of labels besides those of the design's questions. With ``wide``, a table may have one row
-    per person; ``columns`` is a table that says what each of its columns is about, if their names do not.
+    per person; ``columns`` is a table that says what each of its columns is about, if their names do not. With
+    ``sessions``, people of one name are different people in different files, and in different sessions by the column
+    ``session``: the session becomes a part of their names.
+
+    Raises:
+        UserError: A file cannot be read, or people of one name gave different answers in different files or sessions,
+            or the names of two differ in spelling alone.
     """
     files = [file for path in paths for file in _files(path)]
     if not files:
         raise UserError("no file of responses is given; name CSV or JSON files, or a folder of them")
     tables = {file: _rows(file, wide=wide, columns=columns, study=study) for file in files}
+    if sessions:
+        for file, (table, _) in tables.items():
+            for row in table:
+                parts = (row["participant"], file.stem if len(files) > 1 else "", row.get("session", ""))
+                row["participant"] = "-".join(filter(None, parts))
     answers = [answer for file, table in tables.items() for answer in _answers(*table, file.name, study, labels)]
+    _check_names(answers)
+    _check_sources(answers)
     people = {answer.participant for answer in answers}
     assigned = {} if study is None else {person: count for person in people if (count := study.num_items(person))}
     rows = [row for table, _ in tables.values() for row in table]
@@ -93,6 +121,55 @@ def read_responses(
         unused=tuple(dict.fromkeys(name for table, _ in tables.values() for name in table[0] if name not in _KNOWN)),
         sources=tuple(file.name for file in files),
     )
+
+
+def _check_names(answers: Sequence[Answer]) -> None:
+    """Refuse people whose names differ in spelling alone: they would count as more than they are."""
+    spelt: dict[str, set[str]] = {}
+    for name in {answer.participant for answer in answers}:
+        text = re.sub(r"[\s\u200b-\u200f\u2060\ufeff]", "", unicodedata.normalize("NFKC", name).casefold())
+        text = re.sub(r"(?<!\d)[-_]|[-_](?!\d)", "", text)  # P-01 is P01, and P01-2 is not P012
+        text = re.sub(r"^(\d+)\.0+$", r"\1", text)  # a number of a column with gaps
+        spelt.setdefault(re.sub(r"(?<!\d)0+(?=\d)", "", text), set()).add(name)
+    if found := sorted(sorted(names) for names in spelt.values() if len(names) > 1):
+        more = f", and {len(found) - 1} others so" if len(found) > 1 else ""
+        raise UserError(
+            f"people are named {' and '.join(map(repr, found[0]))}{more}: names that differ in case, blanks, "
+            "dashes or zeros alone; give each person one name"
+        )
+
+
+def _check_sources(answers: Sequence[Answer]) -> None:
+    """Refuse people of one name whose answers differ between files or sessions; log that others count as one."""
+    given: dict[tuple[str, ...], dict[str, tuple[float, bool]]] = {}  # of each cell the answers by file or session
+    places: dict[str, set[str]] = {}
+    for answer in answers:
+        if not math.isnan(answer.score):
+            given.setdefault(answer.cell, {}).setdefault(answer.source, answer.given)
+            places.setdefault(answer.participant, set()).add(answer.source)
+    common = {cell: answers for cell, answers in given.items() if len(answers) > 1}
+    differing = [cell for cell, answers in common.items() if len(set(answers.values())) > 1]
+    people = {cell[0] for cell in differing}
+    apart = "if they are other people in each, --sessions names them apart"
+    if people:
+        where = {source for cell in differing for source in common[cell]}
+        raise UserError(
+            f"{some(people)} answered {len(differing)} of the {len(common)} questions that are in "
+            f"{some(where, ' and ')} differently: {apart}; else leave one of their answers out"
+        )
+    if several := {name for name, sources in places.items() if len(sources) > 1}:
+        where = {source for name in several for source in places[name]}
+        told = "%s are in %s, and count as the same people; %s"
+        log.warning(told, some(several), some(where, " and "), apart)
+
+
+def some(names: Collection[str], last: str = ", ") -> str:
+    """Three names, ``last`` before the last one, and how many others there are."""
+    first, others = sorted(names, key=natural)[:3], len(names) - 3
+    if others > 0:
+        return f"{', '.join(first)} and {others} others"
+    *most, end = first
+    return f"{', '.join(most)}{last}{end}" if most else end
 
 
 def _files(path: Path) -> list[Path]:
@@ -111,7 +188,7 @@ def _files(path: Path) -> list[Path]:
 def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) -> tuple[list[_Row], bool]:
     """The rows of a file, all with the same columns and their place under ``""``; whether semicolons part its cells."""
     sheet = read_sheet(path)
-    names = [_known_name(name) for name in sheet.names]
+    names = [plain_name(name) if plain_name(name) in _KNOWN else name for name in sheet.names]
     missing = [name for name in REQUIRED if name not in names]
     if missing and (wide or columns):
         table = long_rows(sheet, path.name, columns, () if study is None else study.shown)
@@ -125,7 +202,7 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             raise UserError(f"{path.name} has the column {duplicates[0]!r} twice; expected each name once")
-        lines = enumerate(sheet.rows, start=2)
+        lines = zip(sheet.lines, sheet.rows, strict=True)
         table = [{"": f"row {line}"} | dict(zip(names, row, strict=True)) for line, row in lines]
         if others := [row[""] for row in table if not _is_answer(row)]:
             told = "%s: %d rows without item, question and score are left out as other trials, such as %s"
@@ -139,12 +216,6 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
 def _is_answer(row: _Row) -> bool:
     """Whether a row is about a set; an experiment's instructions and pauses are rows, too."""
     return any(row[name] for name in ("item", "question", "score"))
-
-
-def _known_name(name: str) -> str:
-    """A column's name; one that is known in any case, with spaces or dashes, as it is known."""
-    known = re.sub(r"[\s-]+", "_", name.lower())
-    return known if known in _KNOWN else name
 
 
 def _answers(
@@ -189,7 +260,8 @@ def _answers(
         if seconds is None:
             raise UserError(f"{where}: seconds is {row['seconds'][:40]!r}; expected a number")
         named = (row["participant"], row["item"], row["question"])
-        yield Answer(*named, score, expected=expected, seconds=seconds, **about)
+        session = f"session {row['session']} of {source}" if row.get("session") else source
+        yield Answer(*named, score, expected=expected, seconds=seconds, source=session, **about)
 
 
 def _unread(rows: Sequence[_Row], name: str, values: Sequence[float | None], source: str) -> str:

@@ -126,8 +126,8 @@ def registered(analysis: Analysis) -> list[str]:
         fast = f"in less than {rules.min_seconds:g} s"
         excluded.append(f"answer more than {percent(rules.fast_share)} of the sets {fast}")
     if rules.straight_lining:
-        excluded.append("give one answer throughout")
-    first = "Of several answers to one question the first counts."
+        excluded.append("give one answer throughout every question")
+    first = "Of several answers to one question the first that is not empty counts."
     changed = " These rules are not the design's." * (study is not None and rules != study.plan.rules)
     lines.append(f"Participants are excluded who {' or '.join(excluded)}. {first}{changed}")
     margin = "No equivalence margin was set."
