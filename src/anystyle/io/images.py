@@ -37,6 +37,8 @@ def formats() -> tuple[str, ...]:
     """The formats that are decoded: of all that Pillow has, the decoder of EPS would start Ghostscript on a file."""
     check_pillow()
     Image.init()
+    # Once and for all threads: `catch_warnings` around each file would leave the filters of one thread to the others.
+    warnings.filterwarnings("ignore", module=r"PIL\.")
     with suppress(ImportError):
         from pillow_heif import register_heif_opener
 
@@ -51,20 +53,19 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
     what = name or str(source)
     if isinstance(source, Path) and not source.is_file():
         raise UserError(f"there is no image {source}")
+    decoded = formats()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=formats()) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise UserError(_too_large(image))
-                yield image
+        with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=decoded) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise UserError(_too_large(image))
+            yield image
     except UserError as error:
         raise UserError(f"{what}: {error}") from None
     except Image.DecompressionBombError:
         raise UserError(f"{what} has too many pixels; at most {MAX_DECODED:,} are decoded") from None
     except UnidentifiedImageError:
         suffix, hint = Path(what).suffix.lower(), ""
-        if suffix in (".heic", ".heif") and "HEIF" not in formats():
+        if suffix in (".heic", ".heif") and "HEIF" not in decoded:
             hint = '; HEIC photographs need: pip install "anystyle[heic]"'
         elif suffix in (".tif", ".tiff"):
             hint = "; TIFF files of floating-point colours are not read, so save it with 8 or 16 bits"
@@ -86,25 +87,31 @@ def require_pixels(image: Image.Image, longest: int) -> None:
 
 
 def rounded_to_8_bits(image: Image.Image, source: Picture) -> Image.Image:
-    """Colours of 16 bits rounded to 8, which Pillow would cut off, or mix up where planes are stored one by one.
+    """Colours of 16 bits rounded to 8, which Pillow would truncate, or mix up where planes are stored separately.
 
     Other images are returned as they are; ``source`` is what the image was opened from.
     """
-    tags = getattr(image, "tag_v2", {})
-    bits = max(tags.get(ExifTags.Base.BitsPerSample, (8,))) if tags else 16 * (";16" in str(getattr(image, "tile", "")))
+    bits = _bits(image)
     if bits == 32 and image.mode == "I":
         raise UserError("levels of 32 bits are not read; save it with 8 or 16 bits")
     if bits != 16 or image.mode not in ("RGB", "RGBA"):
         return image
     require(40 * image.width * image.height, f"{image.width} x {image.height} pixels of 16 bits", "make it smaller")
     data = source if isinstance(source, bytes) else source.read_bytes()
-    with av.open(io.BytesIO(data), "r", format="tiff_pipe" if tags else "png_pipe") as container:
+    with av.open(io.BytesIO(data), "r", format="tiff_pipe" if image.format == "TIFF" else "png_pipe") as container:
         frame = next(container.decode(video=0))
     levels = frame.to_ndarray(format="rgba64le" if image.mode == "RGBA" else "rgb48le")
     rounded = Image.fromarray(((levels.astype(np.uint32) + 128) // 257).astype(np.uint8))
     rounded.info["icc_profile"] = image.info.get("icc_profile")
     rounded.getexif()[ExifTags.Base.Orientation] = image.getexif().get(ExifTags.Base.Orientation, 1)
     return rounded
+
+
+def _bits(image: Image.Image) -> int:
+    """Bits of a channel in the file: TIFF has a tag for it, and Pillow's decoder of PNG is called ``RGB;16B``."""
+    if image.format == "TIFF":
+        return max(getattr(image, "tag_v2", {}).get(ExifTags.Base.BitsPerSample, (8,)))
+    return 16 if ";16" in str(getattr(image, "tile", "")) else 8
 
 
 def _too_large(image: Image.Image) -> str:

@@ -154,7 +154,7 @@ def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, 
             f"of {report['photographs']} of {len(given.sources)} photographs: {report['transparent']:.0%} of the "
             f"pixels are empty, {report['ignored']:.0%} are ignored",
         )
-    if not given.reconstruction.needs_cameras and (report or views.counted is not None):
+    if not given.reconstruction.needs_cameras and (report or views.valid is not None):
         _log.warning(
             "the single pass knows no masks: what is transparent is white in it, and what masks ignore is in the "
             "scene; reconstruction=fit builds neither"
