@@ -37,8 +37,6 @@ OTHER = frozenset({"@eadir", "__macosx", "depth", "depths", "mask", "masks", "no
 MAPS = frozenset(
     {"depth", "depths", "disp", "disparity", "mask", "masks", "normal", "normals", "seg", "segmentation", "semantic"}
 )
-    ["depth", "depths", "disp", "disparity", "mask", "masks", "normal", "normals", "seg", "segmentation", "semantic"]
-)
 """Words in the name of an image that is a map of the photograph with the rest of the name."""
 
 COLOURS = frozenset(["color", "colour", "image", "img", "photo", "rgb"])
