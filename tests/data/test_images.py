@@ -1,3 +1,6 @@
+import sys
+import threading
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +11,10 @@ from hypothesis import strategies as st
 from PIL import Image, ImageDraw
 
 from anystyle import load
-from anystyle.data.images import image_size, open_image, read_image
+from anystyle.data.images import image_size, open_image, read_image, readable
 from anystyle.errors import UserError
 from anystyle.examples import resolved
-from anystyle.io.images import MAX_PIXELS
+from anystyle.io.images import MAX_PIXELS, formats
 from anystyle.io.sheet import to_pil
 from anystyle_study.pictures import read_picture
 
@@ -148,3 +151,45 @@ def test_a_painting_that_is_cut_out_is_nearer_to_itself_than_on_white():
         with torch.no_grad():
             masked, white, original = (encoder.embed_images(image[None])[0] for image in images)
         assert (masked - original).norm() < 0.3 * (white - original).norm(), name
+
+
+def test_a_picture_is_left_out_only_with_its_reason(tmp_path, caplog):
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.png")
+    (tmp_path / "b.png").write_text("no picture")
+    assert readable([tmp_path / "a.png", tmp_path / "b.png"]) == [tmp_path / "a.png"]
+    assert "1 of 2 pictures cannot be read and are left out" in caplog.text
+    assert "b.png is not an image that can be read" in caplog.text
+
+
+def test_what_is_not_the_fault_of_a_picture_ends_the_reading(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(24, "Too many open files", "a.png")
+
+    monkeypatch.setattr("anystyle.data.images.image_size", full)
+    with pytest.raises(OSError, match="Too many open files"):
+        readable([tmp_path / "a.png"])
+
+
+def test_decoders_register_before_threads_open_pictures(tmp_path, monkeypatch):
+    registered = []
+    monkeypatch.setattr("anystyle.io.images.check_pillow", lambda: registered.append(threading.current_thread()))
+    formats.cache_clear()
+    paths = [tmp_path / f"{number}.png" for number in range(16)]
+    for path in paths:
+        Image.new("RGB", (8, 8)).save(path)
+    assert readable(paths) == paths
+    assert registered == [threading.main_thread()]
+
+
+def test_threads_that_open_pictures_leave_the_filters_of_warnings(tmp_path):
+    formats()
+    paths = [tmp_path / f"{number}.png" for number in range(64)]
+    for path in paths:
+        Image.new("RGB", (8, 8)).save(path)
+    before, interval = list(warnings.filters), sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        readable(paths)
+    finally:
+        sys.setswitchinterval(interval)
+    assert warnings.filters == before

@@ -4,7 +4,6 @@ import io
 import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError, one_line
 from anystyle.examples import resolved
-from anystyle.io.images import Picture, opened, require_pixels, rounded_to_8_bits
+from anystyle.io.images import Picture, formats, opened, require_pixels, rounded_to_8_bits
 
 logger = logging.getLogger(__name__)
 
@@ -157,12 +156,17 @@ def _opaque(image: Image.Image) -> Image.Image:
 
 
 def readable(paths: Sequence[Path]) -> list[Path]:
-    """The files whose header is an image's; others are logged."""
+    """The files whose header is an image's; others are logged, each with its reason.
+
+    Raises:
+        OSError: A file cannot be read at all, which is not the fault of its content.
+    """
+    formats()  # before threads: decoders register themselves at the first picture
     with ThreadPoolExecutor(8) as pool:
-        fine = dict(zip(paths, pool.map(_opens, paths), strict=True))
-    if bad := [path for path in paths if not fine[path]]:
+        reasons = list(pool.map(_why_unreadable, paths))
+    if bad := [reason for reason in reasons if reason is not None]:
         logger.warning("%d of %d pictures cannot be read and are left out: %s", len(bad), len(paths), listing(bad))
-    return [path for path in paths if fine[path]]
+    return [path for path, reason in zip(paths, reasons, strict=True) if reason is None]
 
 
 def listing(items: Sequence[object], most: int = 10) -> str:
@@ -171,10 +175,12 @@ def listing(items: Sequence[object], most: int = 10) -> str:
     return shown + (f" and {len(items) - most} more" if len(items) > most else "")
 
 
-def _opens(path: Path) -> bool:
-    with suppress(ValueError, OSError):
-        return bool(image_size(path))
-    return False
+def _why_unreadable(path: Path) -> str | None:
+    try:
+        image_size(path)
+    except UserError as error:
+        return str(error)
+    return None
 
 
 def read_square(source: Picture, size: int, position: float = 0.5, name: str = "") -> Float[Tensor, "1 3 H W"]:

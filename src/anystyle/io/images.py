@@ -37,6 +37,8 @@ def formats() -> tuple[str, ...]:
     """The formats that are decoded: of all that Pillow has, the decoder of EPS would start Ghostscript on a file."""
     check_pillow()
     Image.init()
+    # Once and for all threads: `catch_warnings` around each file would leave the filters of one thread to the others.
+    warnings.filterwarnings("ignore", module=r"PIL\.")
     with suppress(ImportError):
         from pillow_heif import register_heif_opener
 
@@ -51,20 +53,19 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
     what = name or str(source)
     if isinstance(source, Path) and not source.is_file():
         raise UserError(f"there is no image {source}")
+    decoded = formats()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=formats()) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise UserError(_too_large(image))
-                yield image
+        with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=decoded) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise UserError(_too_large(image))
+            yield image
     except UserError as error:
         raise UserError(f"{what}: {error}") from None
     except Image.DecompressionBombError:
         raise UserError(f"{what} has too many pixels; at most {MAX_DECODED:,} are decoded") from None
     except UnidentifiedImageError:
         suffix, hint = Path(what).suffix.lower(), ""
-        if suffix in (".heic", ".heif") and "HEIF" not in formats():
+        if suffix in (".heic", ".heif") and "HEIF" not in decoded:
             hint = '; HEIC photographs need: pip install "anystyle[heic]"'
         elif suffix in (".tif", ".tiff"):
             hint = "; TIFF files of floating-point colours are not read, so save it with 8 or 16 bits"
