@@ -1,23 +1,18 @@
 """The fourth step: an encoded capture in a style, as its controls say."""
 
-import logging
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
-from anystyle.pipeline.controls import FIELDS, Controls, Mask, SeenScene, applied
+from anystyle.pipeline.controls import Controls, Mask, SeenScene, applied
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.types import Gaussians, OnProgress, Scene, StyleEmbedding, no_progress
-
-_log = logging.getLogger(__name__)
 
 
 class Restyler:
@@ -43,30 +38,12 @@ class Restyler:
         if controls.strength == 0:
             return self.unstyled
         embedding = style.embedding
-        if style.parts:
-            styled = self._by_place(style.parts, on_progress)
-        else:
-            _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style, on_progress)))
+        _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style, on_progress)))
         if controls == replace(Controls(), scale=controls.scale):
             return styled
         if styled.means.shape != self.unstyled.means.shape:
             raise UserError("controls need a fixed number of Gaussians, and this method adds some; leave them out")
         return applied(controls, self.unstyled, styled, self.mask_weights(controls.mask))
-
-    def _by_place(self, parts: Sequence[EmbeddedStyle], on_progress: OnProgress) -> Gaussians:
-        """Each style where its mask is, over those before it."""
-        scene = self.unstyled
-        for part in parts:
-            alone = self(replace(part, controls=Controls()), on_progress)
-            if alone.means.shape != scene.means.shape:
-                raise UserError("styles by place need a fixed number of Gaussians, and this method adds some")
-            for name in part.controls.attributes:
-                if torch.equal(getattr(alone, FIELDS[name]), getattr(self.unstyled, FIELDS[name])):
-                    _log.warning(
-                        "%s leaves the %s as it is; branch.styled names what a branch styles", part.title, name
-                    )
-            scene = applied(part.controls, scene, alone, self.mask_weights(part.controls.mask))
-        return scene
 
     def _restyle(self, style: EmbeddedStyle, on_progress: OnProgress) -> Gaussians:
         stylizer = self.encoded.stylizer

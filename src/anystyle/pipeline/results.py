@@ -10,6 +10,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.io.sheet import thumbnails
+from anystyle.pipeline.controls import Mask
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.load import LoadedModel
 from anystyle.pipeline.provenance import Entry, without_folders
@@ -132,6 +133,10 @@ class Result:
     def shares(self, names: Sequence[str]) -> bool:
         """Whether these attributes of Gaussians are those of the unstyled scene; some methods move or add Gaussians."""
         return self.gaussians.shares(self.run.unstyled, names)
+
+    def weights(self, mask: Mask) -> float | Float[Tensor, "B N"]:
+        """How much of a style each Gaussian takes under a mask, in [0, 1]; what ``controls.blended`` reads."""
+        return self.run.restyler.mask_weights(mask)
 
     def scene(self, shared: Sequence[str] = ()) -> StyledScene:
         """The Gaussians for a file of styles that share attributes: before this one the unstyled, if they are its."""
