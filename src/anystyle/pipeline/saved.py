@@ -16,7 +16,6 @@ from anystyle.contracts import Format, StoredCamera
 from anystyle.data.images import open_image
 from anystyle.data.names import distinct, names_below, short_names
 from anystyle.data.poses import stored_cameras
-from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.geometry.transforms import Similarity
@@ -25,7 +24,7 @@ from anystyle.io.checkpoint import save_tensors
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.inputs import OWN
+from anystyle.pipeline.inputs import OWN, scene_format
 from anystyle.ranges import Count
 from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
