@@ -11,6 +11,8 @@ from anystyle.types import Views
 
 OWN = ".safetensors"
 """The suffix of the Gaussians that ``anystyle stylize`` writes without any loss."""
+PICTURE = "style.jpg"
+"""The small picture of a style beside its result, where it is an image."""
 
 
 @dataclass(frozen=True)

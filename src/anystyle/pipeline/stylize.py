@@ -20,8 +20,7 @@ from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.read import read
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.restyle import Restyler
-from anystyle.pipeline.results import Results, StylizeRun
+from anystyle.pipeline.results import Restyler, Results, StylizeRun
 from anystyle.pipeline.save import Failures, write
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, Named, StyleInput, embed_styles
