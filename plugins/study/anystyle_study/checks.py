@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from anystyle.errors import UserError
+from anystyle_study.answers import Answer, Records
 from anystyle_study.contract import Responses, Scale
+from anystyle_study.people import some
 from anystyle_study.protocol import Rules
-from anystyle_study.reading import Answer, Records, some
 
 KINDS = ("failed_attention_check", "fast", "duplicated", "out_of_range", "straight_lining", "missing")
 _MAX_OUTSIDE = 0.1  # fraction of a question's answers outside the scale; above it, the scale must be another one
@@ -87,16 +88,16 @@ def check(
         if lacking := {question: count for question, count in lacking.items() if count > 0}:
             checks.missing[person] = lacking
             missing, expected = sum(lacking.values()), sets * sum(asked.values())
-            rule = f"more than {rules.missing_share:.0%} of the assigned answers missing"
+            strict = missing > rules.missing_share * expected
+            rule = f"more than {rules.missing_share:.0%} of the assigned answers missing" if strict else ""
             listed = ", ".join(f"{question} {count}" for question, count in lacking.items())
-            detail = f"{missing} of {expected} answers ({listed})"
-            checks.add("missing", person, detail, rule * (missing > rules.missing_share * expected))
+            checks.add("missing", person, f"{missing} of {expected} answers ({listed})", rule)
         # A set takes as long as the slowest of its answers.
         timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
         if fast := sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed):
-            rule = f"more than {rules.fast_share:.0%} of the sets answered too fast"
-            detail = f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s"
-            checks.add("fast", person, detail, rule * (fast > rules.fast_share * len(timed)))
+            strict = fast > rules.fast_share * len(timed)
+            rule = f"more than {rules.fast_share:.0%} of the sets answered too fast" if strict else ""
+            checks.add("fast", person, f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s", rule)
     excluded = {exclusion.participant for exclusion in checks.exclusions}
     remaining = [answer for answer in main if not math.isnan(answer.score) and answer.participant not in excluded]
     responses = tuple(part for part in split(remaining, by_question) if part.count)
@@ -182,8 +183,8 @@ def _check_attention(
         unanswered = {answer.item for answer in given if math.isnan(answer.score)}
         names = list(dict.fromkeys(answer.item for answer in given if failed(answer)))
         if names:
-            detail = f"{len(names)} of {len({answer.item for answer in given})} failed: "
-            detail += ", ".join(name + " (no answer)" * (name in unanswered) for name in names)
+            listed = ", ".join(f"{name} (no answer)" if name in unanswered else name for name in names)
+            detail = f"{len(names)} of {len({answer.item for answer in given})} failed: {listed}"
             strict = rules.failed_checks is not None and len(names) > rules.failed_checks
             rule = f"more than {rules.failed_checks} attention checks failed" if strict else ""
             checks.add("failed_attention_check", person, detail, rule)

@@ -6,18 +6,16 @@ or whose rating it is in ``method`` (ours or theirs).
 
 import logging
 import math
-import re
-import unicodedata
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from anystyle.errors import UserError, unknown
-from anystyle.paths import natural
+from anystyle_study.answers import Answer, Records
 from anystyle_study.cells import AnswerColumn, plain, scale_words
 from anystyle_study.files import plain_name, read_sheet
+from anystyle_study.people import check_names, check_sources
 from anystyle_study.protocol import Check, Study
 from anystyle_study.wide import long_rows
 
@@ -30,53 +28,6 @@ _BOOKKEEPING = ("time", "device", "revision", "received", "id")
 _KNOWN = frozenset(("", *REQUIRED, *_OPTIONAL, *_BOOKKEEPING))
 _SUFFIXES = (".csv", ".tsv", ".json")
 _Row = dict[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """One answer and what it is about."""
-
-    participant: str  # who answered
-    item: str  # the set that was judged
-    question: str  # the question's name
-    score: float  # as it was given; ``nan`` if it is missing
-    ours_is_a: bool = False  # whether ours (in a degraded check: the intact side) was shown as A
-    method: str = ""  # whose rating it is, ``ours`` or ``theirs``; empty for a comparison
-    expected: float = math.nan  # right answer of an attention check of another form; else ``nan``
-    check: str = ""  # ``degraded`` or ``repeat`` for an attention check of the design; else empty
-    of: str = ""  # the item that the check was made from
-    comparison: str = ""  # the baseline, if there are several; else empty
-    scene: str = ""  # of the item; empty if unknown
-    style: str = ""  # of the item; empty if unknown
-    seconds: float = math.nan  # time taken; ``nan`` if unknown
-    source: str = ""  # the file, or the session in it, that has the answer
-
-    @property
-    def cell(self) -> tuple[str, ...]:
-        """What it answers: a person has one answer of each."""
-        return self.participant, self.item, self.question, self.comparison, self.method
-
-    @property
-    def given(self) -> tuple[float, bool]:
-        """The answer: a score means another thing where ours was on the other side."""
-        return self.score, self.ours_is_a
-
-    @property
-    def is_check(self) -> bool:
-        """Whether it answers an attention check."""
-        return bool(self.check) or not math.isnan(self.expected)
-
-
-@dataclass(frozen=True)
-class Records:
-    """The answers of a study."""
-
-    answers: tuple[Answer, ...]  # in the order of the files
-    # number of items that each participant was to judge, where known
-    assigned: Mapping[str, int] = field(default_factory=dict)
-    comments: tuple[tuple[str, str], ...] = ()  # free texts, each with its participant
-    unused: tuple[str, ...] = ()  # columns that are not understood, and were ignored
-    sources: tuple[str, ...] = ()  # names of the files
 
 
 def read_responses(
@@ -109,8 +60,8 @@ def read_responses(
                 parts = (row["participant"], file.stem if len(files) > 1 else "", row.get("session", ""))
                 row["participant"] = "-".join(filter(None, parts))
     answers = [answer for file, table in tables.items() for answer in _answers(*table, file.name, study, labels)]
-    _check_names(answers)
-    _check_sources(answers)
+    check_names(answers)
+    check_sources(answers)
     people = {answer.participant for answer in answers}
     assigned = {} if study is None else {person: count for person in people if (count := study.num_items(person))}
     rows = [row for table, _ in tables.values() for row in table]
@@ -121,55 +72,6 @@ def read_responses(
         unused=tuple(dict.fromkeys(name for table, _ in tables.values() for name in table[0] if name not in _KNOWN)),
         sources=tuple(file.name for file in files),
     )
-
-
-def _check_names(answers: Sequence[Answer]) -> None:
-    """Refuse people whose names differ in spelling alone: they would count as more than they are."""
-    spelt: dict[str, set[str]] = {}
-    for name in {answer.participant for answer in answers}:
-        text = re.sub(r"[\s\u200b-\u200f\u2060\ufeff]", "", unicodedata.normalize("NFKC", name).casefold())
-        text = re.sub(r"(?<!\d)[-_]|[-_](?!\d)", "", text)  # P-01 is P01, and P01-2 is not P012
-        text = re.sub(r"^(\d+)\.0+$", r"\1", text)  # a number of a column with gaps
-        spelt.setdefault(re.sub(r"(?<!\d)0+(?=\d)", "", text), set()).add(name)
-    if found := sorted(sorted(names) for names in spelt.values() if len(names) > 1):
-        more = f", and {len(found) - 1} others so" if len(found) > 1 else ""
-        raise UserError(
-            f"people are named {' and '.join(map(repr, found[0]))}{more}: names that differ in case, blanks, "
-            "dashes or zeros alone; give each person one name"
-        )
-
-
-def _check_sources(answers: Sequence[Answer]) -> None:
-    """Refuse people of one name whose answers differ between files or sessions; log that others count as one."""
-    given: dict[tuple[str, ...], dict[str, tuple[float, bool]]] = {}  # of each cell the answers by file or session
-    places: dict[str, set[str]] = {}
-    for answer in answers:
-        if not math.isnan(answer.score):
-            given.setdefault(answer.cell, {}).setdefault(answer.source, answer.given)
-            places.setdefault(answer.participant, set()).add(answer.source)
-    common = {cell: answers for cell, answers in given.items() if len(answers) > 1}
-    differing = [cell for cell, answers in common.items() if len(set(answers.values())) > 1]
-    people = {cell[0] for cell in differing}
-    apart = "if they are other people in each, --sessions names them apart"
-    if people:
-        where = {source for cell in differing for source in common[cell]}
-        raise UserError(
-            f"{some(people)} answered {len(differing)} of the {len(common)} questions that are in "
-            f"{some(where, ' and ')} differently: {apart}; else leave one of their answers out"
-        )
-    if several := {name for name, sources in places.items() if len(sources) > 1}:
-        where = {source for name in several for source in places[name]}
-        told = "%s are in %s, and count as the same people; %s"
-        log.warning(told, some(several), some(where, " and "), apart)
-
-
-def some(names: Collection[str], last: str = ", ") -> str:
-    """Three names, ``last`` before the last one, and how many others there are."""
-    first, others = sorted(names, key=natural)[:3], len(names) - 3
-    if others > 0:
-        return f"{', '.join(first)} and {others} others"
-    *most, end = first
-    return f"{', '.join(most)}{last}{end}" if most else end
 
 
 def _files(path: Path) -> list[Path]:
@@ -194,7 +96,7 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
         table = long_rows(sheet, path.name, columns, () if study is None else study.shown)
     elif missing:
         raise UserError(
-            f"{path.name} lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; it has "
+            f"{path.name} lacks the {'columns' if len(missing) > 1 else 'column'} {', '.join(missing)}; it has "
             f"{', '.join(names[:12])}; expected one answer per row, in {', '.join(REQUIRED)} "
             "(one row per person: --wide)"
         )
@@ -224,29 +126,19 @@ def _answers(
     placed = "ours_is" in rows[0] or "method" in rows[0]
     if not placed and study is None:
         raise UserError(f"{source} does not say where ours was: give the design with --study, or add ours_is")
+    questions = () if study is None else study.plan.questions
+    by_question = {question.name: {**scale_words(question.labels, question.low), **labels} for question in questions}
+    words = [by_question.get(row["question"], labels) for row in rows]
     columns = {
         name: AnswerColumn([row.get(name, "") for row in rows], semicolons=semicolons)
         for name in ("score", "expected", "seconds")
     }
-    questions = () if study is None else study.plan.questions
-    words = {question.name: {**scale_words(question.labels, question.low), **labels} for question in questions}
-    known = [words.get(row["question"], labels) for row in rows]
-    values = {
-        name: [columns[name].score(row.get(name, ""), of) for row, of in zip(rows, known, strict=True)]
-        for name in ("score", "expected")
-    }
-    for name, found in values.items():
-        if None in found:
-            raise UserError(_unread(rows, name, found, source))
-    cells = [row["score"] for row, of in zip(rows, known, strict=True) if plain(row["score"]) not in of]
-    if beside := [cell for cell in cells if columns["score"].number(cell) is None]:
-        log.warning("%s: %d answers are read as the number in them, such as %r", source, len(beside), beside[0])
-    for row, score, expected in zip(rows, values["score"], values["expected"], strict=True):
+    scores, checks = (_scores(rows, name, columns[name], words, source) for name in ("score", "expected"))
+    for row, score, expected in zip(rows, scores, checks, strict=True):
         where = f"{source}, {row['']}"
         for name in ("participant", "item", "question"):
             if not row[name]:
                 raise UserError(f"{where}: {name} is empty; expected a name")
-        assert score is not None and expected is not None
         method = _choice(row, "method", ("ours", "theirs"), where, optional=True)
         if placed or study is None:
             side = _choice(row, "ours_is", ("A", "B"), where, optional=bool(method) or not math.isnan(expected))
@@ -264,17 +156,25 @@ def _answers(
         yield Answer(*named, score, expected=expected, seconds=seconds, source=session, **about)
 
 
-def _unread(rows: Sequence[_Row], name: str, values: Sequence[float | None], source: str) -> str:
-    """What is said of cells that have no score: the first one, all that were found, and what to type."""
-    strange = [row for row, value in zip(rows, values, strict=True) if value is None]
-    counts = Counter(row[name][:40] for row in strange)
-    found = ", ".join(f"{word!r} ({count})" for word, count in counts.most_common(12))
-    more = f" and {len(counts) - 12} others" if len(counts) > 12 else ""
-    return (
-        f"{source}, {strange[0]['']}: {name} is {strange[0][name][:40]!r}; expected a number, a word of the scale "
-        f"or an empty cell; without a score are {found}{more}: give the scale's words from its lowest to its highest "
-        "answer, --labels WORD WORD ..., or one by one, --label WORD=SCORE --label WORD=NA"
-    )
+def _scores(
+    rows: Sequence[_Row], name: str, column: AnswerColumn, words: Sequence[Mapping[str, float]], source: str
+) -> list[float]:
+    """The scores in a column, of each row by its words; cells that have none are refused with what to type."""
+    cells = [row.get(name, "") for row in rows]
+    values = [column.score(cell, known) for cell, known in zip(cells, words, strict=True)]
+    if strange := [index for index, value in enumerate(values) if value is None]:
+        counts = Counter(cells[index][:40] for index in strange)
+        found = ", ".join(f"{word!r} ({count})" for word, count in counts.most_common(12))
+        more = f" and {len(counts) - 12} others" if len(counts) > 12 else ""
+        raise UserError(
+            f"{source}, {rows[strange[0]]['']}: {name} is {cells[strange[0]][:40]!r}; expected a number, a word of the "
+            f"scale or an empty cell; without a score are {found}{more}: give the scale's words from its lowest to its "
+            "highest answer, --labels WORD WORD ..., or one by one, --label WORD=SCORE --label WORD=NA"
+        )
+    numbered = (cell for cell, known in zip(cells, words, strict=True) if plain(cell) not in known)
+    if beside := [cell for cell in numbered if column.number(cell) is None]:
+        log.warning("%s: %d answers are read as the number in them, such as %r", source, len(beside), beside[0])
+    return [value for value in values if value is not None]
 
 
 def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any]:
@@ -295,13 +195,13 @@ def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any
         raise UserError(f"{where}: {unknown('question', row['question'], questions)}")
     item = study.item(name)
     ours_is_a = name in participant.ours_is_a
-    of = f" (ours is {item.method})" * bool(item.method)
+    comparison = f"{item.baseline} (ours is {item.method})" if item.method else item.baseline
     return {
         "ours_is_a": ours_is_a,
         "method": ("ours" if (side == "A") == ours_is_a else "theirs") if side else "",
         "check": shown.kind if isinstance(shown, Check) else "",
         "of": item.id,
-        "comparison": item.baseline + of if len(study.baselines) > 1 else "",
+        "comparison": comparison if len(study.baselines) > 1 else "",
         "scene": item.scene,
         "style": item.style,
     }

@@ -218,6 +218,7 @@ class Wilcoxon(Significance):
             pvalue = t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
             how = "normal approximation with tie correction"
         median, interval = pseudo_median(values, self.confidence, self.alternative)
+        flat = math.isnan(interval[0])
         return self.result(
             responses,
             statistic=float(normal.statistic),
@@ -227,7 +228,7 @@ class Wilcoxon(Significance):
             effect=(2 * float(normal.statistic) - total) / total,
             effect_name="rank_biserial",
             method=f"{name}, {how}, {ranked} ranked; estimate: Hodges-Lehmann pseudo-median",
-            note="ties leave the Hodges-Lehmann interval without any width: none is given" * math.isnan(interval[0]),
+            note="ties leave the Hodges-Lehmann interval without any width: none is given" if flat else "",
         )
 
     def _permuted(self, values: Float[np.ndarray, " N"]) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from anystyle.errors import UserError, one_line
+from anystyle.io.documents import regular
 from anystyle.io.limits import require
 
 MAX_PIXELS = 178_000_000
@@ -37,6 +38,8 @@ def formats() -> tuple[str, ...]:
     """The formats that are decoded: of all that Pillow has, the decoder of EPS would start Ghostscript on a file."""
     check_pillow()
     Image.init()
+    # Once and for all threads: `catch_warnings` around each file would leave the filters of one thread to the others.
+    warnings.filterwarnings("ignore", module=r"PIL\.")
     with suppress(ImportError):
         from pillow_heif import register_heif_opener
 
@@ -49,22 +52,21 @@ def formats() -> tuple[str, ...]:
 def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
     """Open an image and check its header; errors of decoders become a UserError that names the file."""
     what = name or str(source)
-    if isinstance(source, Path) and not source.is_file():
-        raise UserError(f"there is no image {source}")
+    if isinstance(source, Path):
+        regular(source, most=None, what="image")
+    decoded = formats()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=formats()) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise UserError(_too_large(image))
-                yield image
+        with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=decoded) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise UserError(_too_large(image))
+            yield image
     except UserError as error:
         raise UserError(f"{what}: {error}") from None
     except Image.DecompressionBombError:
         raise UserError(f"{what} has too many pixels; at most {MAX_DECODED:,} are decoded") from None
     except UnidentifiedImageError:
         suffix, hint = Path(what).suffix.lower(), ""
-        if suffix in (".heic", ".heif") and "HEIF" not in formats():
+        if suffix in (".heic", ".heif") and "HEIF" not in decoded:
             hint = '; HEIC photographs need: pip install "anystyle[heic]"'
         elif suffix in (".tif", ".tiff"):
             hint = "; TIFF files of floating-point colours are not read, so save it with 8 or 16 bits"
@@ -73,6 +75,12 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):
             raise
         raise UserError(f"{what} is a damaged image ({one_line(error)[:200] or type(error).__name__})") from None
+
+
+def stored_size(image: Image.Image) -> tuple[int, int]:
+    """Width and height as the file stores its pixels; Pillow exchanges them where a TIFF file lies on its side."""
+    tags = getattr(image, "tag_v2", {}) if image.format == "TIFF" else {}
+    return tags.get(ExifTags.Base.ImageWidth, image.width), tags.get(ExifTags.Base.ImageLength, image.height)
 
 
 def require_pixels(image: Image.Image, longest: int) -> None:
