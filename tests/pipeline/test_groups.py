@@ -39,13 +39,6 @@ def test_groups_that_cannot_be(size, overlap):
         split(9, size, overlap)
 
 
-def test_a_change_of_frame_and_its_inverse_cancel():
-    both = change().inverse().after(change())
-    torch.testing.assert_close(both.scale, torch.tensor(1.0))
-    torch.testing.assert_close(both.rotation, torch.eye(3), atol=1e-5, rtol=0)
-    torch.testing.assert_close(both.translation, torch.zeros(3), atol=1e-5, rtol=0)
-
-
 def test_moved_gaussians_look_the_same_from_moved_directions():
     generator = torch.Generator().manual_seed(1)
     scene = Gaussians(

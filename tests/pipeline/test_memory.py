@@ -1,6 +1,5 @@
 """What a pass takes, said before it is run."""
 
-import io
 import subprocess
 import sys
 
@@ -8,6 +7,8 @@ import pytest
 import torch
 from PIL import Image
 
+from anystyle.data.folder import read_views
+from anystyle.data.images import open_image
 from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.pairing import pair
 from anystyle.io import limits, ply
@@ -17,7 +18,6 @@ from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.training.run import train
-from anystyle_datasets.re10k import Re10kScenes
 from tests.support.training_cases import RECONSTRUCTION, configuration
 
 
@@ -72,15 +72,14 @@ def test_control_groups_limit_what_is_free(tmp_path):
     assert limits._left_in_container(tmp_path) == []
 
 
-def huge_clip(folder, short_side=None):
-    """RealEstate10K with frames of 36 million pixels."""
-    options = Re10kScenes.example(folder)
-    chunk = torch.load(folder / "train" / "0.torch")
-    buffer = io.BytesIO()
-    Image.new("L", (6000, 6000)).save(buffer, "PNG")
-    chunk[0]["images"] = [torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8)] * 3
-    torch.save(chunk, folder / "train" / "0.torch")
-    return Re10kScenes(**options | ({} if short_side is None else {"short_side": short_side}))
+def photograph(folder, name="a", side=6000):
+    Image.new("L", (side, side)).save(folder / f"{name}.png")
+    return folder / f"{name}.png"
+
+
+def read_photographs(folder):
+    paths = [photograph(folder, name, 2800) for name in "ab"]
+    return read_views(paths, short_side=2800, multiple=14, max_views=2)
 
 
 def read_video(folder):
@@ -95,16 +94,16 @@ def load_scene(folder):
 
 
 def judge(folder):
-    for kind, name in (("content", "1"), ("stylized", "ink_1"), ("style", "ink")):
-        (folder / kind).mkdir()
-        Image.new("L", (4000, 4000)).save(folder / kind / f"{name}.png")
+    for name in ("content/1", "stylized/ink/1", "style/ink"):
+        (folder / name).parent.mkdir(parents=True)
+        Image.new("L", (4000, 4000)).save(folder / f"{name}.png")
     paired = pair(folder / "content", folder / "style", folder / "stylized")
     return Reader()(paired.cells[0])
 
 
 SPENT = {
-    "picture": (lambda folder: huge_clip(folder).read(0, [0]), "6000 x 6000 pixels: this takes", "smaller"),
-    "views": (lambda folder: huge_clip(folder, 2800).read(0, [0, 1]), "2 views of 2800x2800: this takes 0.4", "take"),
+    "picture": (lambda folder: open_image(photograph(folder)), "6000 x 6000 pixels: this takes", "smaller"),
+    "views": (read_photographs, "2 views of 2800x2800: this takes 0.4", "take fewer"),
     "video": (lambda folder: read_video(folder), "3 frames of 4096x3072 of .*a.mp4: this takes 0.1", "take fewer"),
     "splat": (load_scene, "a.ply: this takes 3.0 GiB", "fewer Gaussians"),
     "evaluation": (judge, "2 images of .* in ink, of up to 4000x4000: this takes 0.8", "fewer frames"),

@@ -15,7 +15,7 @@ from anystyle.pipeline.options import AXES
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
-from anystyle.vision.weights import license_meaning, licenses
+from anystyle.vision.weights import License, licenses
 from anystyle_formats.packing import smallest_three
 from anystyle_formats.sog import codebook, palette
 from tests.support.export_readers import READERS, SPLAT_TRANSFORM, from_axes, read_with_splat_transform
@@ -108,7 +108,7 @@ def test_what_licences_mean():
     known = licenses({"backbone": {"file": "tiny_backbone.safetensors"}, "branch": {"file": "nobody.pt"}})
     assert known["backbone"]["license"] == "Apache-2.0" and "freely" in known["backbone"]["means"]
     assert known["branch"]["license"] == "not stated" and "ask" in known["branch"]["means"]
-    assert "commercially" in license_meaning("CC-BY-NC-4.0") and "ask" in license_meaning("see the record")
+    assert "commercially" in License.named("CC-BY-NC-4.0").meaning and "ask" in License.named("see the record").meaning
 
 
 def test_a_codebook_is_no_worse_than_quantiles_and_even_steps():

@@ -17,6 +17,5 @@ from .table import License as License
 from .table import WeightsFile as WeightsFile
 from .table import files as files
 from .table import license_lines as license_lines
-from .table import license_meaning as license_meaning
 from .table import licenses as licenses
 from .table import row as row

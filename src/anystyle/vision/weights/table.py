@@ -103,11 +103,6 @@ def licenses(loaded: object) -> dict[str, dict[str, str]]:
     return found
 
 
-def license_meaning(license: str | None) -> str:
-    """What a licence of weights means for a scene made with them, in a sentence; no legal advice."""
-    return License.named(license).meaning
-
-
 def license_lines(terms: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
     """A line for each part of :func:`licenses`, for a file's header or a caption."""
     for part, entry in terms.items():
