@@ -15,7 +15,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError, one_line
 from anystyle.examples import resolved
-from anystyle.io.images import Picture, formats, opened, require_pixels, rounded_to_8_bits
+from anystyle.io.images import Picture, formats, opened, require_pixels, rounded_to_8_bits, stored_size
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ SUFFIXES = frozenset(
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
     """Width and height of the upright image, from its header only; messages call bytes by ``name``."""
     with opened(source, name) as image:
-        width, height = image.size
+        width, height = stored_size(image)
         transposed = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
         return (height, width) if transposed else (width, height)
 

@@ -23,7 +23,7 @@ class Meaning(NamedTuple):
     frame: str
 
 
-class Layout:
+class ResultLayout:
     """Reads what results are of from their names.
 
     ``{scene}``, ``{style}`` and ``{frame}`` stand for the name of a scene, of a style and of a photograph, in any

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 from anystyle.data.images import SUFFIXES, listing
 from anystyle.errors import UserError
-from anystyle.evaluation.layout import DEFAULTS, Layout, Meaning
+from anystyle.evaluation.layout import DEFAULTS, Meaning, ResultLayout
 from anystyle.evaluation.names import Names, sequence
 from anystyle.paths import natural
 
@@ -134,9 +134,9 @@ def pair(
         style: Style images.
         stylized: Results.
         depth: Maps, where depth is known.
-        layout: How results are named, as :class:`~anystyle.evaluation.layout.Layout` reads it; images that are named
-            otherwise are no results. ``None`` takes that of :data:`~anystyle.evaluation.layout.DEFAULTS` which fits
-            most of them.
+        layout: How results are named, as :class:`~anystyle.evaluation.layout.ResultLayout` reads it; images that are
+            named otherwise are no results. ``None`` takes that of :data:`~anystyle.evaluation.layout.DEFAULTS` which
+            fits most of them.
         missing: ``refuse`` raises where photographs, styles and depth imply more images than there are; ``allow`` pairs
             those that are there.
 
@@ -155,7 +155,7 @@ def pair(
     if layout is None:
         usual = ((text, scenes) for text, scenes in candidates.items() if scenes)
         candidates = {text: scenes for text, scenes in usual if "{scene}" in text or len(scenes) == 1}
-    readers = [Layout(text, scenes, styles) for text, scenes in candidates.items()]
+    readers = [ResultLayout(text, scenes, styles) for text, scenes in candidates.items()]
     meanings = [{path: reader.meanings(path) for path in results} for reader in readers]
     fits = [sum(map(bool, meant.values())) for meant in meanings]
     best = fits.index(max(fits))
@@ -180,7 +180,7 @@ def pair(
     return pairing
 
 
-def _no_layout(stylized: Path, path: str, readers: Sequence[Layout]) -> str:
+def _no_layout(stylized: Path, path: str, readers: Sequence[ResultLayout]) -> str:
     """That no result is named as expected, and the layout to type."""
     told = f"no image in {stylized} is named {' or '.join(reader.text for reader in readers)}"
     if layout := next(filter(None, (reader.of(path) for reader in readers)), None):

@@ -13,6 +13,7 @@ import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from anystyle.errors import UserError, one_line
+from anystyle.io.documents import regular
 from anystyle.io.limits import require
 
 MAX_PIXELS = 178_000_000
@@ -51,8 +52,8 @@ def formats() -> tuple[str, ...]:
 def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
     """Open an image and check its header; errors of decoders become a UserError that names the file."""
     what = name or str(source)
-    if isinstance(source, Path) and not source.is_file():
-        raise UserError(f"there is no image {source}")
+    if isinstance(source, Path):
+        regular(source, most=None, what="image")
     decoded = formats()
     try:
         with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=decoded) as image:
@@ -74,6 +75,12 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):
             raise
         raise UserError(f"{what} is a damaged image ({one_line(error)[:200] or type(error).__name__})") from None
+
+
+def stored_size(image: Image.Image) -> tuple[int, int]:
+    """Width and height as the file stores its pixels; Pillow exchanges them where a TIFF file lies on its side."""
+    tags = getattr(image, "tag_v2", {}) if image.format == "TIFF" else {}
+    return tags.get(ExifTags.Base.ImageWidth, image.width), tags.get(ExifTags.Base.ImageLength, image.height)
 
 
 def require_pixels(image: Image.Image, longest: int) -> None:
