@@ -93,3 +93,11 @@ def test_a_damaged_list_of_cameras_is_one_line(run):
     (run / "cameras.json").write_text(json.dumps(listed))
     with pytest.raises(UserError, match=r"cameras.json: a pose has no rotation in it \(IMG_1\)"):
         renders(run / "point_cloud" / "iteration_7000" / "point_cloud.ply")
+
+
+@pytest.mark.parametrize("name", ["ckpt_29999_rank0.pt", "step-000029999.ckpt"])
+def test_a_checkpoint_of_a_trainer_names_what_to_type(tmp_path, name):
+    (tmp_path / name).write_bytes(b"PK")
+    for read in (inputs_of, read_saved):
+        with pytest.raises(UserError, match=r"is a checkpoint.*--save_ply.*ns-export gaussian-splat"):
+            read(tmp_path / name)

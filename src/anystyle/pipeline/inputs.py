@@ -12,6 +12,7 @@ from anystyle.types import Views
 
 OWN = ".safetensors"
 """The suffix of the Gaussians that ``anystyle stylize`` writes without any loss."""
+CHECKPOINTS = (".pt", ".pth", ".ckpt")
 PICTURE = "style.jpg"
 """The small picture of a style beside its result, where it is an image."""
 
@@ -66,7 +67,15 @@ def file_of(path: Path) -> Path:
     Example:
         >>> file_of(Path("scene.ply"))
         PosixPath('scene.ply')
+
+    Raises:
+        UserError: It is a checkpoint of a trainer.
     """
+    if path.suffix.lower() in CHECKPOINTS and path.is_file():
+        raise UserError(
+            f"{path} is a checkpoint, and files of Gaussians are read: gsplat's trainer writes a PLY with --save_ply, "
+            "nerfstudio's scene becomes one by ns-export gaussian-splat"
+        )
     found = path.glob("point_cloud/iteration_*/point_cloud.ply") if path.is_dir() else ()
     return max(found, key=lambda file: natural(file.parent.name), default=path)
 

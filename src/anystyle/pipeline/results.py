@@ -71,9 +71,9 @@ class Restyler:
             return self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
 
         styled = _finite(self.encoded.gaussians(restyle), f"the scene in the style {style.title}")
-        given, kept = self.encoded.groups[0].scene.gaussians, styled.harmonics.shape[2]
-        if given is not None and kept < given.harmonics.shape[2]:
-            self._tell_dropped(isqrt(given.harmonics.shape[2]) - 1)
+        before = self.encoded.groups[0].scene.gaussians
+        if before is not None and styled.harmonics.shape[2] < before.harmonics.shape[2]:
+            self._tell_dropped(isqrt(before.harmonics.shape[2]) - 1)
         return styled
 
     def _tell_dropped(self, degree: int) -> None:
