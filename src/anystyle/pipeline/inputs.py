@@ -6,6 +6,7 @@ from pathlib import Path
 
 from anystyle.data.folder import files_of
 from anystyle.errors import UserError
+from anystyle.paths import natural
 from anystyle.registry.catalog import catalog
 from anystyle.types import Views
 
@@ -47,7 +48,7 @@ def inputs_of(given: GivenInputs) -> Inputs | None:
         return InMemory(given)
     paths = tuple(map(Path, [given] if isinstance(given, (str, Path)) else given))
     if len(paths) == 1 and is_saved(paths[0]):
-        return SavedScene(paths[0])
+        return SavedScene(file_of(paths[0]))
     return Photographs(paths) if paths else None
 
 
@@ -55,7 +56,19 @@ def is_saved(path: Path) -> bool:
     """Whether this is a file or folder of Gaussians, or a folder that ``anystyle stylize`` wrote, and no capture."""
     if path.is_dir() and (path / "report.json").is_file() and any(path.glob("*.safetensors")):
         return True
+    path = file_of(path)
     return scene_format(path) is not None or (path.suffix.lower() == OWN and not path.is_dir())
+
+
+def file_of(path: Path) -> Path:
+    """The file of a run's folder of 3DGS, ``point_cloud/iteration_N/point_cloud.ply`` of the largest N; else the path.
+
+    Example:
+        >>> file_of(Path("scene.ply"))
+        PosixPath('scene.ply')
+    """
+    found = path.glob("point_cloud/iteration_*/point_cloud.ply") if path.is_dir() else ()
+    return max(found, key=lambda file: natural(file.parent.name), default=path)
 
 
 def scene_format(path: Path) -> str | None:

@@ -114,12 +114,12 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
 PixelArray = NDArray[np.uint8]
 """Height, width, 3; sRGB levels."""
 
-EXTRAS = {"csv": "", "tensorboard": "tracking", "wandb": "wandb", "mlflow": "mlflow"}
-"""The names of loggers, and the extra that installs each."""
+PACKAGES = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb", "mlflow": "mlflow-skinny"}
+"""The names of loggers, and the package that each needs."""
 
 
 def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Logger]:
-    """The loggers of these names, keys of :data:`EXTRAS`, and always ``csv``; a resumed run adds a version."""
+    """The loggers of these names, keys of :data:`PACKAGES`, and always ``csv``; a resumed run adds a version."""
     makers: Mapping[str, Callable[[], Logger]] = {
         "csv": lambda: CSVLogger(out, name="log", flush_logs_every_n_steps=20),
         "tensorboard": lambda: TensorBoardLogger(out, name="tensorboard"),
@@ -129,11 +129,11 @@ def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Log
     loggers = []
     for each in dict.fromkeys(["csv", *names]):
         if each not in makers:
-            raise UserError(f"loggers: {unknown('logger', each, EXTRAS)}")
+            raise UserError(f"loggers: {unknown('logger', each, PACKAGES)}")
         try:
             loggers.append(makers[each]())
         except ModuleNotFoundError as error:
-            raise MissingExtra(f'loggers: {each} is not installed; pip install "anystyle[{EXTRAS[each]}]"') from error
+            raise MissingExtra(f"loggers: {each} is not installed: pip install {PACKAGES[each]}") from error
     return loggers
 
 
