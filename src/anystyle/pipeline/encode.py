@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
@@ -25,12 +26,14 @@ from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.provenance import Entry
 from anystyle.pipeline.read import ReadViews
-from anystyle.pipeline.splats import ReadSplat, scene_of_splat
 from anystyle.pipeline.stages import Stages
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, SourceImage, Views
 from anystyle.types.shapes import ShapeError, check_value
+
+if TYPE_CHECKING:
+    from anystyle.pipeline.saved import ReadSplat
 
 RENDER_CHUNK = 4
 """Views rendered together."""
@@ -140,9 +143,9 @@ class EncodedCapture:
             yield from known if len(known) == len(kept) else self.stylizer.render(gaussians, chunk).color[0].cpu()
 
 
-def encode(given: ReadViews | ReadSplat, stylizer: Stylizer, options: ViewOptions, stages: Stages) -> EncodedCapture:
+def encode(given: "ReadViews | ReadSplat", stylizer: Stylizer, options: ViewOptions, stages: Stages) -> EncodedCapture:
     """Make a scene of what was read."""
-    if isinstance(given, ReadSplat):
+    if not isinstance(given, ReadViews):
         return _encode_splat(given, stylizer, stages)
     start = time.perf_counter()
     similarity, targets, measures = None, None, {}
@@ -162,8 +165,10 @@ def encode(given: ReadViews | ReadSplat, stylizer: Stylizer, options: ViewOption
     )
 
 
-def _encode_splat(given: ReadSplat, stylizer: Stylizer, stages: Stages) -> EncodedCapture:
+def _encode_splat(given: "ReadSplat", stylizer: Stylizer, stages: Stages) -> EncodedCapture:
     """Given Gaussians with the features of their renders."""
+    from anystyle.pipeline.saved import scene_of_splat
+
     start = time.perf_counter()
     line = require_splat(given.gaussians.means.shape[1], given.cameras, stylizer.device)
     where = "stored beside it" if given.origin == "stored" else "chosen around the scene"

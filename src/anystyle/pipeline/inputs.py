@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from anystyle.data.folder import files_of
-from anystyle.data.scene_format import scene_format
 from anystyle.errors import UserError
+from anystyle.registry.catalog import catalog
 from anystyle.types import Views
 
 OWN = ".safetensors"
 """The suffix of the Gaussians that ``anystyle stylize`` writes without any loss."""
+PICTURE = "style.jpg"
+"""The small picture of a style beside its result, where it is an image."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,12 @@ def is_saved(path: Path) -> bool:
     if path.is_dir() and (path / "report.json").is_file() and any(path.glob("*.safetensors")):
         return True
     return scene_format(path) is not None or (path.suffix.lower() == OWN and not path.is_dir())
+
+
+def scene_format(path: Path) -> str | None:
+    """The plugin of kind ``format`` that reads a file as a scene of Gaussians, by its suffix, if one does."""
+    suffix = path.suffix.lower()[1:]
+    return suffix if suffix in catalog().names("format") and not path.is_dir() else None
 
 
 def check_inputs(inputs: Inputs | None) -> None:

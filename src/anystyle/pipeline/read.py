@@ -4,6 +4,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxtyping import Float
 from omegaconf import DictConfig
@@ -21,12 +22,14 @@ from anystyle.pipeline.load import LoadedModel, make_scenes
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, photographs
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.splats import ReadSplat, read_splat
 from anystyle.pipeline.stages import Stages
 from anystyle.reconstructions import Feedforward
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, SourceImage, Views
+
+if TYPE_CHECKING:
+    from anystyle.pipeline.saved import ReadSplat
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +59,7 @@ class ReadViews:
     made_of: tuple[Entry, ...] = ()
 
 
-def read(request: Request, model: LoadedModel, stages: Stages) -> ReadViews | ReadSplat:
+def read(request: Request, model: LoadedModel, stages: Stages) -> "ReadViews | ReadSplat":
     """Read the inputs of a request, with cameras where they are known or can be estimated.
 
     Where the model names no reconstruction, the plugin that estimates cameras chooses it if it succeeds; elsewhere it
@@ -69,6 +72,8 @@ def read(request: Request, model: LoadedModel, stages: Stages) -> ReadViews | Re
         raise UserError(f"views.masks={options.masks}: masks belong to photographs, and the input is {given}")
     match inputs:
         case SavedScene(path):
+            from anystyle.pipeline.saved import read_splat
+
             return read_splat(path, model.stylizer, options, request.splat, stages)
         case Photographs(paths):
             return _photographs(paths, backbone, options, poses, model.reconstruction, stages)

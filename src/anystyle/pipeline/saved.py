@@ -1,44 +1,51 @@
-"""The files of a scene besides renders, and reading them back: a folder of results, or a file of Gaussians."""
+"""A saved scene, which is a folder of results or a file of Gaussians: reading it, and cameras and views of it."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from anystyle.contracts import Format, StoredCamera
+from anystyle.contracts import Format, Renderer, StoredCamera
+from anystyle.data.folder import covering
 from anystyle.data.images import open_image
-from anystyle.data.names import distinct, names_below, short_names
-from anystyle.data.poses import stored_cameras
-from anystyle.data.scene_format import scene_format
+from anystyle.data.names import distinct, short_names
+from anystyle.data.poses import stored_cameras, view_camera
 from anystyle.errors import UserError
-from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.geometry.transforms import Similarity
-from anystyle.io.atomic import write_json
-from anystyle.io.checkpoint import save_tensors
+from anystyle.geometry.cameras import look_at
+from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
+from anystyle.methods.colors import first_render
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.inputs import OWN
+from anystyle.pipeline.inputs import OWN, PICTURE, scene_format
+from anystyle.pipeline.options import SplatOptions, ViewOptions
+from anystyle.pipeline.provenance import Entry, entry
+from anystyle.pipeline.stages import Stages
 from anystyle.ranges import Count
 from anystyle.registry.build import build
-from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
+from anystyle.stylizer import Stylizer
+from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
 from anystyle.vision import weights
 
 UNSTYLED = "unstyled"
-PICTURE = "style.jpg"
-"""A small picture of the style, where it is an image."""
 CHOSEN = ("chosen", "chosen around the scene")
 """What a report says of cameras that are not those of photographs, since 0.2 and before."""
-CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
-MAX_POINTS = 100_000
-"""Points of a COLMAP export: what an optimisation of Gaussians starts from."""
+ELEVATIONS = (10.0, 35.0)
+"""Degrees above the scene's middle, of two rings of chosen cameras."""
+FOCAL = 1.2
+"""Of chosen cameras, in sides of their square images: 45 degrees."""
+DISTANCE = 3.0
+"""Of chosen cameras from the middle, in radii."""
+PAINTED = 384
+"""Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
+CameraOrigin = Literal["stored", "chosen"]
+"""Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
@@ -74,67 +81,6 @@ class SavedReport:
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     offset: Offset = NEAR
-
-
-def save_gaussians(gaussians: Gaussians, path: Path) -> None:
-    """Write every tensor of some Gaussians, without the loss of the PLY's conventions, as safetensors."""
-    tensors = {item.name: getattr(gaussians, item.name).detach().cpu().contiguous() for item in fields(gaussians)}
-    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"})
-
-
-def write_cameras(
-    path: Path,
-    cameras: Cameras,
-    sources: Sequence[SourceImage],
-    offset: Offset = NEAR,
-    scene_from_known: Similarity | None = None,
-) -> None:
-    """Write the cameras of views as readable JSON, with intrinsics in pixels of their sources.
-
-    Where known cameras were given, the similarity from their frame to the scene's is written as well.
-    """
-    matrices = zip(_source_intrinsics(cameras, sources), cameras.world_from_camera[0], strict=True)
-    views = [
-        {"name": source.name, "height": source.size[0], "width": source.size[1]}
-        | {"intrinsics": intrinsics.tolist(), "world_from_camera": pose.tolist()}
-        for source, (intrinsics, pose) in zip(sources, matrices, strict=True)
-    ]
-    content: dict[str, object] = {"convention": CONVENTION, "views": views}
-    if any(offset):
-        content["offset"] = {"meaning": "to add to all positions", "xyz": offset}
-    if scene_from_known is not None:
-        content["scene_from_known"] = {
-            "meaning": "scene = scale * rotation @ known + translation",
-            **{name: value.tolist() for name, value in scene_from_known._asdict().items()},
-        }
-    write_json(path, content)
-
-
-def write_colmap(
-    folder: Path, gaussians: Gaussians, cameras: Cameras, sources: Sequence[SourceImage], *, binary: bool
-) -> None:
-    """Write one scene as a COLMAP model: cameras in source pixels, images, and the most opaque Gaussians as points."""
-    from anystyle.io import colmap
-
-    opacities, cameras = gaussians.opacities[0].cpu(), cameras.to(torch.float64)
-    most_opaque = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
-    rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[most_opaque])
-    paths = [source.path for source in sources if source.path is not None]
-    files = dict(zip(paths, names_below(paths), strict=True))
-    model = colmap.pinhole_model(
-        [f"{source.name}.png" if source.path is None else files[source.path] for source in sources],
-        [source.size for source in sources],
-        _source_intrinsics(cameras, sources).numpy(),
-        cameras.camera_from_world[0].numpy(),
-        gaussians.means[0].cpu()[most_opaque].double().numpy(),
-        (rgb.clamp(0, 1) * 255).round().byte().numpy(),
-    )
-    colmap.write(model, folder, binary=binary)
-
-
-def _source_intrinsics(cameras: Cameras, sources: Sequence[SourceImage]) -> Float[Tensor, "V 3 3"]:
-    pairs = zip(sources, cameras.intrinsics[0], strict=True)
-    return torch.stack([source.source_intrinsics(matrix) for source, matrix in pairs])
 
 
 def unstyled_of(scene: StyledScene) -> Gaussians:
@@ -267,3 +213,118 @@ def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
     poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
     intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
     return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
+
+
+@dataclass(frozen=True)
+class ReadSplat:
+    """Given Gaussians as they were read.
+
+    Args:
+        gaussians: A batch of one, in OpenCV's axes.
+        cameras: Where they are seen from.
+        sources: What the images of these cameras are called.
+        origin: Where the cameras come from.
+        file: The file itself, where results can be copies of it with other colours.
+        notes: Lines of the file, such as licences.
+        made_of: The file, for the report.
+        offset: What was taken off the positions.
+    """
+
+    gaussians: Gaussians
+    cameras: Cameras
+    sources: tuple[SourceImage, ...]
+    origin: CameraOrigin
+    file: Path | None
+    notes: tuple[str, ...]
+    made_of: tuple[Entry, ...]
+    offset: Offset
+
+
+def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: SplatOptions, stages: Stages) -> ReadSplat:
+    """Read a saved scene with cameras that are stored with it or chosen; of several styles the unstyled scene.
+
+    Views have the size that ``views`` say, else that at which results were made.
+    """
+    with stages("read", "the Gaussians"):
+        given = read_unturned(path, options.up, activated=options.activated)
+        saved = in_axes("opencv", given)
+        sees_features = stylizer.branch.gaussian_head is not None
+        side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
+        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side)
+        made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
+    file = path if path.is_file() and given.up == "opencv" and not options.activated else None
+    return ReadSplat(unstyled_of(saved), cameras, sources, origin, file, given.notes, made_of, saved.offset)
+
+
+def cameras_of(
+    path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, side: int
+) -> tuple[Cameras, tuple[SourceImage, ...], CameraOrigin]:
+    """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
+
+    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. Beside the
+    cameras it returns what their images are called, and where they come from.
+    """
+    side = max(multiple, round((views.short_side or side) / multiple) * multiple)
+    stored = {} if options.folder else saved_cameras(saved)
+    for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
+        stored = stored or cameras_beside(folder, saved.offset)
+    if not stored:
+        names = [f"view_{index:02d}" for index in range(options.cameras)]
+        sources = tuple(covering(name, (side, side), (side, side)) for name in names)
+        return around(unstyled_of(saved), options.cameras, side), sources, "chosen"
+    names = list(stored)
+    chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
+    whole = stored[names[chosen[0]]].size
+    height, width = (max(multiple, round(length * side / min(whole) / multiple) * multiple) for length in whole)
+    called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
+    sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
+    cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
+    return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
+
+
+def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
+    """Cameras on two rings around the middle of a scene, looking at it; -y is up, as in OpenCV's axes.
+
+    Middle and radius are medians weighted by opacity, so that a few floaters far away move neither.
+    """
+    # So that weights do not add up to 0 where every Gaussian is transparent.
+    means, weights = gaussians.means[0], gaussians.opacities[0].double().clamp_min(1e-12).cpu().numpy()
+
+    def quantile(values: Tensor, fraction: float) -> Tensor:
+        data = values.cpu().numpy()
+        return means.new_tensor(np.quantile(data, fraction, axis=0, weights=weights, method="inverted_cdf"))
+
+    middle = quantile(means, 0.5)
+    radius = quantile((means - middle).norm(dim=1), 0.8)
+    turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
+    rise = torch.deg2rad(torch.tensor(ELEVATIONS))[torch.arange(number) % len(ELEVATIONS)]
+    towards = torch.stack([rise.cos() * turn.cos(), -rise.sin(), rise.cos() * turn.sin()], dim=1).to(means)
+    eye = middle + DISTANCE * radius * towards
+    intrinsics = torch.tensor([[FOCAL * side, 0.0, side / 2], [0.0, FOCAL * side, side / 2], [0.0, 0.0, 1.0]])
+    return Cameras(
+        look_at(eye, middle.expand_as(eye))[None], intrinsics.expand(1, number, 3, 3).to(means), (side, side)
+    )
+
+
+@torch.no_grad()
+def scene_of_splat(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    renderer: Renderer,
+    encode: Callable[[Views], Scene],
+) -> Scene:
+    """The renders of given Gaussians, a batch of one, encoded with known cameras, as a scene that has these."""
+    renders = [first_render(gaussians, cameras.select([view]), renderer) for view in range(cameras.intrinsics.shape[1])]
+    images, alpha = (torch.cat([getattr(render, name) for render in renders], dim=1) for name in ("color", "alpha"))
+    depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
+    views = Views(images.clamp(0, 1), cameras)
+    encoded = encode(views)
+    # The colours that are styled are those of the renders, as the encoder saw them.
+    color = constant_from_rgb(views.images.movedim(2, -1))[..., None]
+    return replace(
+        encoded,
+        geometry=Geometry(cameras, depth, alpha),
+        attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
+        clusters=None,
+        gaussians=gaussians,
+    )

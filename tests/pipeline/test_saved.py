@@ -13,11 +13,11 @@ from anystyle.commands import stylize
 from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
 from anystyle.methods.colors import fit_colors
-from anystyle.pipeline import splats
+from anystyle.pipeline import saved
 from anystyle.pipeline.encode import BYTES, BYTES_A_PIXEL, encode, require_splat
 from anystyle.pipeline.export import export
 from anystyle.pipeline.options import SplatOptions, ViewOptions
-from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.saved import read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.types import Cameras, Gaussians, StyledScene
@@ -31,7 +31,7 @@ COLORS = ("f_dc", "f_rest")
 
 
 def encoded_file(path, stylizer, views, options):
-    return encode(splats.read_splat(path, stylizer, views, options, Stages()), stylizer, views, Stages())
+    return encode(saved.read_splat(path, stylizer, views, options, Stages()), stylizer, views, Stages())
 
 
 def glossy(degree=1):
@@ -111,7 +111,7 @@ def test_cameras_that_are_stored_see_what_they_saw(tmp_path):
     images, cameras, _ = photographed_wall(5)
     wall().save(tmp_path / "scene.ply")
     transforms(tmp_path, cameras)
-    seen, sources, origin = splats.cameras_of(
+    seen, sources, origin = saved.cameras_of(
         tmp_path / "scene.ply", alone(wall()), ViewOptions(short_side=40), SplatOptions(cameras=5), 8, 224
     )
     assert origin == "stored" and [source.name for source in sources] == list("01234")
@@ -127,7 +127,7 @@ def test_cameras_around_a_scene_see_it_whole(tmp_path):
     parts = {name: torch.cat([value, value[:, :1]], dim=1) for name, value in vars(scene).items()}
     scene = replace(scene, **{**parts, "means": far})
     scene.opacities[0, -1] = 0.01
-    seen, sources, origin = splats.cameras_of(
+    seen, sources, origin = saved.cameras_of(
         tmp_path / "scene.ply", alone(scene), ViewOptions(), SplatOptions(cameras=6), 14, 112
     )
     assert origin == "chosen" and len(sources) == 6 and seen.size == (112, 112)
@@ -169,7 +169,7 @@ def test_what_it_takes_is_what_was_told():
         0.02 * torch.rand(1, count, 3, generator=generator), torch.rand(1, count, generator=generator),
         torch.zeros(1, count, 16, 3),
     )  # fmt: skip
-    cameras = splats.around(scene, views, 64)
+    cameras = saved.around(scene, views, 64)
     targets = torch.rand(views, 3, 64, 64, generator=generator)
     fit_colors(scene, cameras, targets, RENDERER, steps=0)  # compiled before
     idle = sampled_peak(lambda: None)
