@@ -17,16 +17,17 @@ from anystyle.registry.compose import compose
 from anystyle.training.resume import bound
 from anystyle.training.stylization import StylizationTraining
 from anystyle.training.trainer import make_trainer
+from tests.support.program import program
 from tests.support.training_cases import BACKBONE, STYLIZATION, configuration
 
 
-def test_a_smoke_run_learns_and_says_what_it_left(tmp_path, program):
+def test_a_smoke_run_learns_and_says_what_it_left(tmp_path):
     small = [word for word in BACKBONE if not word.startswith(("backbone=", "renderer="))]
     words = [
         "train", "experiment=tiny_reconstruction", "debug=smoke", *small, "scenes.num_scenes=2", "training.warmup=2",
         "training.learning_rate=0.003", "training.render_every=1", "trainer.precision=32-true",
     ]  # fmt: skip
-    done = program(words, folder=tmp_path, environment=os.environ | {"OMP_NUM_THREADS": "1"})
+    done = program(words, tmp_path, os.environ)
     assert done.status == 0, done.err
     assert done.out == "12 steps done; backbone.safetensors in runs/smoke-tiny_reconstruction\n"
     assert "Traceback" not in done.err and "Warning" not in done.err
