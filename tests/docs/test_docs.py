@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from anystyle.__main__ import available
 from anystyle.cli.arguments import parse, split
 from anystyle.commands.plugins_new import write
-from anystyle.evaluation.run import FOLDERS, completed
+from anystyle.evaluation.run import Images
 from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
 from tests.support.docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
@@ -191,8 +191,8 @@ def _compose(command, module, words):
         arguments, overrides = split(module.parser(), words)
         overrides = [word for word in overrides if "=" in word or word.startswith("~")]
         if command == "evaluate":
-            folders = {name: value for name in FOLDERS if (value := getattr(arguments, name)) is not None}
-            overrides = completed(overrides, folders, arguments.trained)
+            given = (getattr(arguments, name) for name in ("content", "style", "stylized", "depth", "layout"))
+            overrides = [*(Images.WORDS if Images.of(*given) is not None else ()), *overrides]
     parsed = OverridesParser.create().parse_overrides(overrides)
     choices = [
         [

@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from anystyle_study.reading import read_responses
 CONF = Path(__file__).parent / "conf"
 
 
+@cache
 def _register_plan() -> None:
     """Make the plan's options known to Hydra, with their defaults, before a preset changes them."""
     ConfigStore.instance().store(group="study", name="_plan", node=plan_defaults(), provider="anystyle-study")

@@ -195,7 +195,19 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     harmonics = torch.cat([constant[:, None], others.unflatten(1, (3, higher)).mT], dim=1)
     # Copies, so that the table of all numbers does not stay in memory.
     rows = Splats(torch.from_numpy(means), rotations.clone(), scales.clone(), opacity[:, 0].clone(), harmonics)
-    return Loaded(*visible(rows, remarks, logarithmic=True, activated=activated), offset)
+    splats, kept = visible(rows, remarks, logarithmic=True, activated=activated)
+    if "filter_3D" in columns:
+        remarks.guesses.append("filter_3D, as Mip-Splatting writes it, is applied to scales and opacities")
+        splats = _filtered(splats, torch.from_numpy(columns["filter_3D"].astype(np.float32))[kept])
+    return Loaded(splats, kept, offset)
+
+
+def _filtered(splats: Splats, width: Float[Tensor, " N"]) -> Splats:
+    """Gaussians widened by Mip-Splatting's 3D filter of a width, and fainter by as much (Yu et al. 2024, eq. 9)."""
+    before = splats.scales.double()
+    after = torch.hypot(before, width.double().nan_to_num(0.0, 0.0, 0.0)[:, None])
+    share = (before / after.clamp_min(1e-38)).prod(1)
+    return splats._replace(scales=after.float(), opacities=(splats.opacities * share).float())
 
 
 def _with_constant(columns: Mapping[str, NDArray[Any]], remarks: Remarks) -> dict[str, NDArray[Any]]:

@@ -11,19 +11,20 @@ from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from anystyle.contracts import Format, Renderer, StoredCamera
+from anystyle.contracts import Format, Renderer
 from anystyle.data.folder import covering
 from anystyle.data.images import open_image
-from anystyle.data.names import distinct, short_names
-from anystyle.data.poses import stored_cameras, view_camera
+from anystyle.data.names import short_names
+from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render
+from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.inputs import OWN, PICTURE, scene_format
+from anystyle.pipeline.inputs import OWN, PICTURE, file_of, scene_format
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
 from anystyle.pipeline.stages import Stages
@@ -46,27 +47,7 @@ PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
-_Row3 = tuple[float, float, float]
-_Row4 = tuple[float, float, float, float]
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
-
-
-@dataclass(frozen=True)
-class SavedCamera:
-    """A view in ``cameras.json``."""
-
-    name: str
-    height: _Side
-    width: _Side
-    intrinsics: tuple[_Row3, _Row3, _Row3]
-    world_from_camera: tuple[_Row4, _Row4, _Row4, _Row4]
-
-
-@dataclass(frozen=True)
-class SavedCameras:
-    """``cameras.json``."""
-
-    views: Annotated[list[SavedCamera], Meta(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -93,36 +74,6 @@ def read_saved(path: Path, up: str | None = None, *, activated: bool = False) ->
     return in_axes("opencv", read_unturned(path, up, activated=activated))
 
 
-def with_stored_cameras(scene: StyledScene, path: Path, stored_in: str | None = None) -> StyledScene:
-    """A scene with the cameras beside its file or one folder above, those of one size, where it has none of its own."""
-    folders = (path.parent, path.parent.parent) if stored_in is None else (Path(stored_in),)
-    for folder in () if scene.names else folders:
-        if (file := folder / "cameras.json").is_file():
-            cameras, names = _cameras(file)
-            return replace(scene, cameras=cameras, names=names)
-        if stored := cameras_beside(folder, scene.offset):
-            size = next(iter(stored.values())).size
-            alike = {name: camera for name, camera in stored.items() if camera.size == size}
-            poses = np.stack([camera.world_from_camera for camera in alike.values()])
-            intrinsics = np.stack([camera.intrinsics for camera in alike.values()])
-            cameras = Cameras(torch.from_numpy(poses).float()[None], torch.from_numpy(intrinsics).float()[None], size)
-            names = tuple(short_names([PurePosixPath(name) for name in alike]))
-            return replace(scene, cameras=cameras, names=names)
-    return scene
-
-
-def cameras_beside(folder: Path, offset: Offset) -> dict[str, StoredCamera]:
-    """The cameras that are stored in a folder, without the offset of the scene where they have it."""
-    stored = stored_cameras(folder)
-    centers = np.array([camera.world_from_camera[:3, 3] for camera in stored.values()]).reshape(-1, 3)
-    if np.abs(centers - offset).sum() >= np.abs(centers).sum():
-        return stored
-    shift = np.pad(np.array(offset)[:, None], ((0, 1), (3, 0)))
-    return {
-        name: replace(camera, world_from_camera=camera.world_from_camera - shift) for name, camera in stored.items()
-    }
-
-
 def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> StyledScene:
     """Read a folder of results, or a file of Gaussians in its own axes, which are ``up`` or what it says.
 
@@ -130,6 +81,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     """
     if not path.exists():
         raise UserError(f"there is no file or folder {path}")
+    path = file_of(path)
     if path.suffix.lower() == OWN and path.is_file():
         gaussians, folder = read_gaussians(path), path.parent
         if not (folder / "report.json").is_file():
@@ -156,7 +108,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     first, report = next(iter(reports.items()))
-    cameras, names = _cameras(first / "cameras.json")
+    cameras, names = own_cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     notes = (made, *weights.license_lines(report.licenses), *report.notes)
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
@@ -198,23 +150,6 @@ def read_gaussians(path: Path) -> Gaussians:
         raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
 
 
-def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
-    """The cameras of a saved scene by the name of their view."""
-    poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
-    stored = zip(distinct(saved.names), poses.numpy(), intrinsics.numpy(), strict=True)
-    return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
-
-
-def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of ``cameras.json``, those of one size as the first."""
-    views = read_json(path, SavedCameras, what="file of cameras").views
-    first = views[0]
-    alike = [view for view in views if (view.height, view.width) == (first.height, first.width)]
-    poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
-    intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
-    return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
-
-
 @dataclass(frozen=True)
 class ReadSplat:
     """Given Gaussians as they were read.
@@ -245,29 +180,36 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
 
     Views have the size that ``views`` say, else that at which results were made.
     """
+    path = file_of(path)
     with stages("read", "the Gaussians"):
         given = read_unturned(path, options.up, activated=options.activated)
         saved = in_axes("opencv", given)
         sees_features = stylizer.branch.gaussian_head is not None
         side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
-        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side)
+        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side, given.up)
         made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
     file = path if path.is_file() and given.up == "opencv" and not options.activated else None
     return ReadSplat(unstyled_of(saved), cameras, sources, origin, file, given.notes, made_of, saved.offset)
 
 
 def cameras_of(
-    path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, side: int
+    path: Path,
+    saved: StyledScene,
+    views: ViewOptions,
+    options: SplatOptions,
+    multiple: int,
+    side: int,
+    own_up: str = "opencv",
 ) -> tuple[Cameras, tuple[SourceImage, ...], CameraOrigin]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. Beside the
-    cameras it returns what their images are called, and where they come from.
+    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. ``own_up`` are the
+    axes that the file had before it was turned to OpenCV's. Beside the cameras it returns what their images are called,
+    and where they come from.
     """
     side = max(multiple, round((views.short_side or side) / multiple) * multiple)
     stored = {} if options.folder else saved_cameras(saved)
-    for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
-        stored = stored or cameras_beside(folder, saved.offset)
+    stored = stored or cameras_beside(path, options.folder, saved.offset, own_up)
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(covering(name, (side, side), (side, side)) for name in names)
