@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import lightning.pytorch as pl
 import numpy as np
+from lightning.fabric.plugins.environments import SLURMEnvironment
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
@@ -94,7 +95,9 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     try:
         return pl.Trainer(
             **options,
-            default_root_dir=out,
+            # Lightning would resume from files of its own there, whatever the run was asked for; and requeue by itself.
+            default_root_dir=out / "log",
+            plugins=SLURMEnvironment(auto_requeue=False) if SLURMEnvironment.detect() else None,
             max_epochs=-1,
             check_val_every_n_epoch=None,
             use_distributed_sampler=False,
