@@ -1,5 +1,6 @@
 """A saved scene, which is a folder of results or a file of Gaussians: reading it, and cameras and views of it."""
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
@@ -34,6 +35,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
 from anystyle.vision import weights
 
+_log = logging.getLogger(__name__)
 UNSTYLED = "unstyled"
 CHOSEN = ("chosen", "chosen around the scene")
 """What a report says of cameras that are not those of photographs, since 0.2 and before."""
@@ -45,6 +47,10 @@ DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
+NOT_COMPENSATED = (
+    "renders here do not apply: Gaussians that are thinner than a pixel are too opaque in them. Files that are written "
+    "say that it was, where their format can: PLY, SPZ and SOG"
+)
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
@@ -90,9 +96,12 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
     if name := scene_format(path):
-        scene = build(Format, name, activated=activated).read(path)
-        notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
-        notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
+        reader = build(Format, name, activated=activated)
+        scene, beside = reader.read(path), path.with_suffix(path.suffix + ".txt")
+        more = read_text(beside).splitlines() if beside.is_file() else []
+        notes = scene.notes if reader.has_notes and scene.notes else tuple(dict.fromkeys([*scene.notes, *more]))
+        if scene.antialiased:
+            _log.warning("%s was trained with antialiasing, which %s", path, NOT_COMPENSATED)
         return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
