@@ -31,8 +31,8 @@ def make(folder: Path) -> None:
         _mask(folder / "sky_masks" / f"{number:03d}.png")
     for style, seed in (("s0", 20), ("s1", 21)):
         for frame in range(3):
-            for place in ("results", "RESULTS/Train"):
-                _picture(folder / place / f"{style}_{frame:03d}.png", seed=seed, shift=frame)
+            for name in (f"results/{style}/{frame:03d}", f"RESULTS/Train/{style}_{frame:03d}"):
+                _picture(folder / f"{name}.png", seed=seed, shift=frame)
     _splat(folder / "scene.ply")
     captions = [{"image": f"s{n}.jpg", "text": text} for n, text in enumerate(("red waves", "blue dots"))]
     (folder / "STYLES" / "captions.jsonl").write_text("".join(f"{json.dumps(one)}\n" for one in captions))
