@@ -54,9 +54,7 @@ class _AllSamples(Throughput):
         return values | {"samples": values["samples"] * self.world_size} if "samples" in values else values
 
 
-STOPS = tuple(
-    getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR1", "SIGUSR2") if hasattr(signal, name)
-)
+STOPS = tuple(each for each in signal.Signals if each.name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR1", "SIGUSR2"))
 """Signals at which a training saves and ends; Windows lacks some of them."""
 
 
