@@ -33,10 +33,10 @@ from anystyle.evaluation.tables import Table
 anystyle.catalog().find("command", "study").load()  # finds the package of `anystyle study` where it is not installed
 
 from anystyle_study.analysis import AnalysisOptions, analyze
+from anystyle_study.answers import Answer, Records
 from anystyle_study.contract import Responses
 from anystyle_study.figures import as_svg, likert, means, power
 from anystyle_study.power import Scenario, power_study, power_table
-from anystyle_study.reading import Answer, Records
 from anystyle_study.report import tests_table
 from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
 from anystyle_study.statistics import variation

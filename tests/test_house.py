@@ -25,10 +25,9 @@ from anystyle import paths
 from anystyle.commands.plugins import arguments
 from anystyle.registry import packages
 from anystyle.registry.builtin import BUILTIN, KINDS
-from anystyle.registry.catalog import Plugin, catalog, kind_named, kinds
+from anystyle.registry.catalog import Plugin, base_of, catalog, kinds
 from anystyle.registry.compose import compose
-from anystyle.registry.schema import options
-from anystyle.registry.source_docs import peek
+from anystyle.registry.schema import options, shown
 
 ROOT = Path(__file__).parent.parent
 SURFACE = Path(__file__).parent / "surface.json"
@@ -197,7 +196,7 @@ def test_options_are_keyword_only_and_described():
                 found.append(f"{row}: {option.name} is not keyword-only")
             if not described.get(option.name):
                 found.append(f"{row}: {option.name} is not described")
-        found += [] if peek(row).description.endswith(".") else [f"{row}: no first line"]
+        found += [] if packages.first_line(row).endswith(".") else [f"{row}: no first line"]
     assert found == []
 
 
@@ -212,13 +211,13 @@ def test_no_preset_has_a_plugins_name():
 
 @pytest.mark.parametrize(("kind", "name"), presets())
 def test_presets_compose(kind, name, tmp_path):
-    chosen = f"[{name}]" if kind_named(kind).many else name
+    chosen = f"[{name}]" if base_of(kind).many else name
     losses = "{loss: []}, " if kind == "method" else ""  # which a preset of a method names
     (tmp_path / "config.yaml").write_text(
         f"defaults: [{losses}{{{kind}: {chosen}}}, _self_]\nhydra: {{searchpath: ['file://{paths.CONF}', 'anystyle://']}}\n"
     )
     node = compose("config", conf=tmp_path)[kind]
-    node = node[name] if kind_named(kind).many else node
+    node = node[name] if base_of(kind).many else node
     assert catalog().owner(kind, node._target_).kind == kind
 
 
@@ -267,11 +266,10 @@ def surface() -> dict[str, object]:
     """What people build on: every change of it is a change for them."""
     plugins: dict[str, dict[str, dict[str, str]]] = {kind: {} for kind in sorted(kinds())}
     for row in sorted((row for row in shipped() if row.kind != "kind"), key=lambda row: (row.kind, row.name)):
-        written = {}
-        for text in peek(row).options:
-            name, _, rest = text.partition(":")
-            written[name] = rest.strip()
-        plugins[row.kind][row.name] = written
+        plugins[row.kind][row.name] = {
+            option.name: shown(option.hint) + ("" if option.required else f" = {option.default!r}")
+            for option in options(row)
+        }
     return {"anystyle": sorted(anystyle.__all__), "kinds": sorted(kinds()), "plugins": plugins}
 
 

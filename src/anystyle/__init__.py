@@ -12,14 +12,14 @@ import importlib
 import os
 from typing import Any
 
-import lazy_loader
+from anystyle import lazy
 
 # Threads of OpenMP that spin while they wait cost several times the work where another program uses a core. Read when
 # torch is imported; one's own setting is kept.
 if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-_named, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_named, __dir__, __all__ = lazy.stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:

@@ -12,7 +12,6 @@ from .pipeline.request import Request as Request
 from .pipeline.save import save as save
 from .pipeline.styles import Mixture as Mixture
 from .pipeline.styles import Named as Named
-from .pipeline.styles import Places as Places
 from .pipeline.stylize import stylize as stylize
 from .registry.build import build as build
 from .registry.catalog import catalog as catalog

@@ -28,10 +28,10 @@ def available() -> dict[str, str]:
         text = ast.get_docstring(ast.parse((PACKAGE / "commands" / f"{name}.py").read_bytes())) or ""
         described[name] = text.partition("\n")[0]
     from anystyle.registry.catalog import catalog
-    from anystyle.registry.source_docs import peek
+    from anystyle.registry.packages import first_line
 
     for name in catalog().names("command"):
-        described[name] = peek(catalog().find("command", name)).description
+        described[name] = first_line(catalog().find("command", name))
     return described
 
 

@@ -246,3 +246,51 @@ def test_a_photograph_of_another_aspect_is_kept_whole(width, height, caplog):
 def test_a_photograph_of_nearly_the_same_aspect_fills_its_view():
     assert covering("a", (60, 90), (96, 128), whole=True) == covering("a", (60, 90), (96, 128))
     assert covering("a", (60, 90), (96, 128)).inside == (0, 0, 128, 96)
+
+
+@pytest.mark.parametrize(
+    ("photographs", "others"),
+    [
+        (["r_0", "r_1"], ["r_0_depth_0001", "r_0_normal_0001", "r_1_depth_0001"]),
+        (["0001", "0002"], ["0001.mask", "0002_masks", "mask_0001"]),
+        (["frame-000000.color", "frame-000001.color"], ["frame-000000.depth", "frame-000001.depth"]),
+        (["rgb_0", "rgb_1"], ["depth_0", "depth_1", "seg_0"]),
+        (["IMG_1", "mask of a lion", "depths of winter"], []),
+        (["a_mask_1", "a_mask_2"], []),
+    ],
+)
+def test_maps_of_photographs_are_no_photographs(tmp_path, caplog, photographs, others):
+    for name in [*photographs, *others]:
+        save(tmp_path / f"{name}.png")
+    views, _ = read(tmp_path)
+    assert views.images.shape[1] == len(photographs)
+    count = f"{len(others)} of {len(photographs) + len(others)} images in"
+    assert (count in caplog.text) == bool(others)
+
+
+def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
+    for name in ("photos/a.png", "photos/b.png", "photos/@eaDir/a.png", "__MACOSX/photos/a.png"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        save(tmp_path / name)
+    (tmp_path / "photos" / "._a.png").write_bytes(b"resource fork")
+    views, _ = read(tmp_path, max_views=2)
+    assert views.images.shape[1] == 2 and caplog.text == ""
+
+
+def test_a_folder_of_one_film_is_that_film(tmp_path):
+    frames = [torch.full((3, 48, 64), shade) for shade in (0.2, 0.5, 0.8)]
+    write_video(frames, tmp_path / "DJI_0001.MP4")
+    assert read(tmp_path)[0].images.shape[1] == 3
+    write_video(frames, tmp_path / "DJI_0002.MP4")
+    with pytest.raises(ValueError, match=r"2 films in the folder .*; name one"):
+        read(tmp_path)
+
+
+def test_photographs_that_are_not_developed_are_named(tmp_path, caplog):
+    for name in ("a.DNG", "b.cr3"):
+        (tmp_path / name).write_bytes(b"raw")
+    with pytest.raises(ValueError, match=r"the 2 photographs .* are not developed \(CR3, DNG\); save them as JPEG"):
+        read(tmp_path)
+    save(tmp_path / "a.jpg")
+    assert read(tmp_path)[0].images.shape[1] == 1
+    assert "1 photographs in" in caplog.text and "(CR3)" in caplog.text

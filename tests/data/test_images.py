@@ -1,3 +1,6 @@
+import sys
+import threading
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -5,14 +8,17 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 
 from anystyle import load
-from anystyle.data.images import image_size, open_image, read_image
+from anystyle.data.images import image_size, open_image, read_image, readable
 from anystyle.errors import UserError
 from anystyle.examples import resolved
-from anystyle.io.images import MAX_PIXELS
+from anystyle.io.checkpoint import read_header
+from anystyle.io.documents import read_json
+from anystyle.io.images import MAX_PIXELS, formats
 from anystyle.io.sheet import to_pil
+from anystyle.types import Gaussians
 from anystyle_study.pictures import read_picture
 
 
@@ -53,11 +59,31 @@ def test_transparency_shows_white(tmp_path):
     assert (pixels[0, 0] == 255).all() and (pixels[1, 1] == [0, 255, 0]).all()
 
 
-def test_a_turned_camera_gives_an_upright_picture(tmp_path):
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_turned_camera_gives_an_upright_picture(tmp_path, suffix, orientation):
     exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.fromarray(gradient()).save(tmp_path / "a.png", exif=exif)
-    assert (np.asarray(open_image(tmp_path / "a.png")) == np.rot90(gradient(), -1)).all()
+    exif[0x0112] = orientation
+    Image.fromarray(gradient()).save(path := tmp_path / f"a.{suffix}", exif=exif)
+    turned = ImageOps.exif_transpose(Image.open(tmp_path / "a.png")) if suffix == "png" else open_image(path)
+    assert (np.asarray(open_image(path)) == np.asarray(turned)).all()
+    assert image_size(path) == open_image(path).size == ((20, 30) if orientation > 4 else (30, 20))
+    if orientation == 6:
+        assert (np.asarray(open_image(path)) == np.rot90(gradient(), -1)).all()
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.ply", "a.safetensors", "a.json"])
+def test_a_pointer_of_git_lfs_is_named(tmp_path, name):
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
+    (tmp_path / name).write_text(pointer)
+    readers = {
+        "a.jpg": image_size,
+        "a.ply": Gaussians.load,
+        "a.safetensors": read_header,
+        "a.json": lambda path: read_json(path, dict),
+    }
+    with pytest.raises(UserError, match=r"is a Git LFS pointer and not the .* itself; fetch it with git lfs pull"):
+        readers[name](tmp_path / name)
 
 
 def test_what_is_no_picture_is_refused_in_one_line(tmp_path):
@@ -148,3 +174,45 @@ def test_a_painting_that_is_cut_out_is_nearer_to_itself_than_on_white():
         with torch.no_grad():
             masked, white, original = (encoder.embed_images(image[None])[0] for image in images)
         assert (masked - original).norm() < 0.3 * (white - original).norm(), name
+
+
+def test_a_picture_is_left_out_only_with_its_reason(tmp_path, caplog):
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.png")
+    (tmp_path / "b.png").write_text("no picture")
+    assert readable([tmp_path / "a.png", tmp_path / "b.png"]) == [tmp_path / "a.png"]
+    assert "1 of 2 pictures cannot be read and are left out" in caplog.text
+    assert "b.png is not an image that can be read" in caplog.text
+
+
+def test_what_is_not_the_fault_of_a_picture_ends_the_reading(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(24, "Too many open files", "a.png")
+
+    monkeypatch.setattr("anystyle.data.images.image_size", full)
+    with pytest.raises(OSError, match="Too many open files"):
+        readable([tmp_path / "a.png"])
+
+
+def test_decoders_register_before_threads_open_pictures(tmp_path, monkeypatch):
+    registered = []
+    monkeypatch.setattr("anystyle.io.images.check_pillow", lambda: registered.append(threading.current_thread()))
+    formats.cache_clear()
+    paths = [tmp_path / f"{number}.png" for number in range(16)]
+    for path in paths:
+        Image.new("RGB", (8, 8)).save(path)
+    assert readable(paths) == paths
+    assert registered == [threading.main_thread()]
+
+
+def test_threads_that_open_pictures_leave_the_filters_of_warnings(tmp_path):
+    formats()
+    paths = [tmp_path / f"{number}.png" for number in range(64)]
+    for path in paths:
+        Image.new("RGB", (8, 8)).save(path)
+    before, interval = list(warnings.filters), sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        readable(paths)
+    finally:
+        sys.setswitchinterval(interval)
+    assert warnings.filters == before

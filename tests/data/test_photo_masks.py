@@ -143,10 +143,10 @@ def test_white_counts_and_black_is_ignored_or_empty(tmp_path, white, scale):
     path = photograph(tmp_path / "a.png")
     file = mask(tmp_path / "masks" / "a.png", left_half((48 * scale, 32 * scale), white=white))
     views, report = read(path, {path: file})
-    assert views.alpha is None and views.counted[0, 0, :, :10].all() and not views.counted[0, 0, :, 12:].any()
+    assert views.alpha is None and views.valid[0, 0, :, :10].all() and not views.valid[0, 0, :, 12:].any()
     assert report == {"photographs": 1, "transparent": 0.0, "ignored": pytest.approx(0.5, abs=0.1)}
     views, report = read(path, {path: file}, empty=True)
-    assert views.counted is None and views.alpha[0, 0].mean() == pytest.approx(0.5, abs=0.05)
+    assert views.valid is None and views.alpha[0, 0].mean() == pytest.approx(0.5, abs=0.05)
     assert report["ignored"] == 0 and report["transparent"] == pytest.approx(0.5, abs=0.05)
     original = with_masks(read_originals([path], longest=64, max_views=1), {path: file})[0]
     np.testing.assert_array_equal(np.asarray(original.mask) > 127, left_half() > 0)
@@ -161,12 +161,12 @@ def test_masks_that_leave_little_and_nothing(tmp_path, caplog):
         views, _ = read(tmp_path / "p", {one: mask(tmp_path / "masks" / "a.png", few)})
     assert "nothing is left of 1 photographs, and they are ignored: b" in caplog.text
     assert "invert them if black is what is to stay" in caplog.text
-    assert views.alpha is None and not views.counted[0, 1].any() and views.counted[0, 0].any()
+    assert views.alpha is None and not views.valid[0, 1].any() and views.valid[0, 0].any()
     assert two.is_file()
 
 
 def test_what_lies_beside_a_photograph_is_not_counted():
     source = covering("a", (64, 48), (48, 64), whole=True)
     views, report = masked_views(Views(torch.ones(1, 1, 3, 48, 64)), [source], {}, empty=False)
-    assert report == {} and views.alpha is None and views.counted is not None
-    assert views.counted[0, 0].nonzero().amin(0).tolist() == [0, 14] and views.counted.sum() == 48 * 36
+    assert report == {} and views.alpha is None and views.valid is not None
+    assert views.valid[0, 0].nonzero().amin(0).tolist() == [0, 14] and views.valid.sum() == 48 * 36

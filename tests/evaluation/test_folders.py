@@ -20,7 +20,7 @@ def test_scenes_styles_and_frames(tmp_path):
         ("one", "a"), ("one", "b"), ("two", "a"), ("two", "b")
     ]  # fmt: skip
     cell = pairing.cells[2]
-    assert cell.frames == tuple(str(frame) for frame in range(11))
+    assert cell.frames == tuple(f"{frame:03d}" for frame in range(11))
     assert [path.name for path in cell.content] == [f"{frame:03d}.png" for frame in range(11)]
     assert cell.reference.name == "a.png"
     assert pairing.lacking() == ""
@@ -32,15 +32,6 @@ def test_scenes_styles_and_frames(tmp_path):
     assert (read.scenes, read.styles) == (("two",), ("a",))
 
 
-def test_triples_of_equal_names(tmp_path):
-    for kind in ("content", "style", "generated"):
-        for name in ("00_0", "00_1", "01_0", "01_1"):
-            picture(tmp_path / kind / "Train" / f"{name}.jpg", 9)
-    cells = pair(tmp_path / "content", tmp_path / "style", tmp_path / "generated").cells
-    assert [(cell.style, len(cell.frames)) for cell in cells] == [("00", 2), ("01", 2)]
-    assert cells[1].reference.name == "01_0.jpg" and cells[1].content[1].name == "01_1.jpg"
-
-
 def test_what_has_no_partner_is_listed(tmp_path):
     content, style, stylized = folders(tmp_path)
     picture(stylized / "one" / "a_7.png", 0)
@@ -48,9 +39,9 @@ def test_what_has_no_partner_is_listed(tmp_path):
     picture(stylized / "three" / "d_9.png", 0)
     with pytest.raises(ValueError) as caught:
         pair(content, style, stylized)
-    assert str(caught.value).startswith(
-        "3 of 15 stylized images have no partner: one/a_7 (no content 7), one/c_0 (no style c), "
-        "three/d_9 (no content 9, no style d)"
+    assert str(caught.value) == (
+        "3 of 15 stylized images have no partner: one/a_7 (no photograph 7), one/c_0 (no style c), "
+        "three/d_9 (no scene three, no style d); they are read as {scene}/{style}_{frame}"
     )
 
 
@@ -98,13 +89,22 @@ def test_names_are_found_whole(tmp_path, layout, scene, style, frame):
     assert [path.stem for path in cell.content] == [frame.format(number) for number in (1, 2, 10)]
 
 
-@pytest.mark.parametrize("name", ["wave/frame_00001", "wave_frame_00001", "Wave/frame_1"])
+@pytest.mark.parametrize(
+    ("name", "layout"),
+    [
+        ("wave/frame_00001", None),
+        ("Wave/frame_1", None),
+        ("wave_frame_00001", "{style}_{frame}"),
+        ("frame_1", "{frame}"),
+        ("model/test/ours_30000/renders/frame_1", "model/test/ours_*/renders/{frame}"),
+    ],
+)
 @pytest.mark.parametrize("scene", ["", "one/"])
-def test_one_scene_needs_no_folder(tmp_path, name, scene):
+def test_one_scene_needs_no_folder_and_one_style_no_name(tmp_path, name, layout, scene):
     picture(tmp_path / "content" / scene / "frame_00001.png", 1)
     picture(tmp_path / "stylized" / f"{name}.png", 2)
     picture(tmp_path / "style" / "wave.jpg", 3)
-    (cell,) = pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized").cells
+    (cell,) = pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized", layout=layout).cells
     assert (cell.scene, cell.style, cell.content[0].stem) == (scene.rstrip("/"), "wave", "frame_00001")
 
 
@@ -113,38 +113,79 @@ def test_two_readings_are_told_with_what_to_type(tmp_path):
         picture(tmp_path / f"{name}.png", 0)
     with pytest.raises(UserError) as caught:
         pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized", missing="allow")
-    assert str(caught.value) == (
-        "one/a_b_1 may be b_1.png in style a.png or 1.png in style a_b.png; name it one/a/b_1 or one/a_b/1"
+    assert str(caught.value) == ("one/a_b_1 may be one/a/b_1 or one/a_b/1; name it so, and the others likewise")
+
+
+LAYOUTS = [
+    "{style}/{scene}/{frame}",
+    "{style}/{scene}_{frame}",
+    "{scene}/{frame}/{style}",
+    "{scene}/{style}-{frame}",
+    "{scene}_{style}_{frame}",
+    "nnfm/{scene}/{style}/{frame}",
+    # 3DGS and its forks, gsplat, nerfstudio, ARF, StyleID: docs/protocol.md
+    "{scene}/{style}/train/ours_30000/renders/{frame}",
+    "{scene}/{style}/renders/val_step29999_{frame}",
+    "{scene}/{style}/test/rgb/{frame}",
+    "{scene}_{style}/test_renders/{frame}",
+    "{scene}/{frame}_stylized_{style}",
+]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_another_layout_is_refused_with_what_to_type_and_then_read(tmp_path, layout):
+    for scene, style, frame in product(("one", "two"), ("a_b", "c"), ("f_0", "f_1")):
+        picture(tmp_path / "content" / scene / f"{frame}.png", 0)
+        picture(tmp_path / "style" / f"{style}.png", 0)
+        picture(tmp_path / "stylized" / f"{layout.format(scene=scene, style=style, frame=frame)}.png", 0)
+    picture(tmp_path / "stylized" / "sheet.png", 0)  # is no result by these layouts
+    named = tmp_path / "content", tmp_path / "style", tmp_path / "stylized"
+    with pytest.raises(UserError) as caught:
+        pair(*named)
+    assert str(caught.value).endswith(
+        f"is named {{scene}}/{{style}}/{{frame}} or {{scene}}/{{style}}_{{frame}}; give --layout '{layout}'"
     )
+    pairing = pair(*named, layout=layout)
+    assert [(cell.scene, cell.style, cell.frames) for cell in pairing.cells] == [
+        (scene, style, ("f_0", "f_1")) for scene, style in product(("one", "two"), ("a_b", "c"))
+    ]
+    assert pairing.cells[0].stylized[1] == named[2] / f"{layout.format(scene='one', style='a_b', frame='f_1')}.png"
 
 
 @pytest.mark.parametrize(
     ("layout", "told"),
     [
-        *((layout, f"look like {layout.format(scene='SCENE', style='STYLE', frame='FRAME')}.png: arrange them as ")
-          for layout in ("{style}/{scene}/{frame}", "{style}/{scene}_{frame}", "{scene}_{style}/{frame}",
-                         "{scene}/{frame}/{style}", "{scene}/{frame}_{style}", "{scene}/{style}-{frame}",
-                         "{scene}_{style}_{frame}")),
-        ("{scene}/{style}/rgb/{frame}", "these look like SCENE/STYLE/FOLDER/FRAME.png: arrange"),
-        ("nnfm/{scene}/{style}/{frame}", "look like FOLDER/SCENE/STYLE/FRAME.png: give --stylized one folder, such"),
-        ("{style}/{frame}", "these look like STYLE/FRAME.png of one scene, and --content holds several (one, two)"),
-        ("{scene}/x{style}/{frame}", "expected SCENE/STYLE/FRAME.png, with frames named like 'f_0' and styles like"),
+        ("{scene}/{style}", "layout={scene}/{style}: give {frame}, {style} and {scene} once each"),
+        ("{scene}/{style}/{frame}_{frame}", "once each"),
+        ("{scene}/{style}/{view}", "once each"),
+        ("{scene}/{frame}", "there are 2 styles; name {style}, or give one of them"),
+        ("{style}/{frame}", "there are 2 scenes; name {scene}, or give one of them"),
+        ("x{scene}/{style}/{frame}", "is named x{scene}/{style}/{frame}; give --layout '{scene}/{style}_{frame}'"),
     ],
-)  # fmt: skip
-def test_the_layout_that_was_found_is_told(tmp_path, layout, told):
-    for scene, style, frame in product(("one", "two"), ("a_b", "c"), ("f_0", "f_1")):
-        picture(tmp_path / "content" / scene / f"{frame}.png", 0)
-        picture(tmp_path / "style" / f"{style}.png", 0)
-        picture(tmp_path / "stylized" / f"{layout.format(scene=scene, style=style, frame=frame)}.png", 0)
+)
+def test_a_layout_that_cannot_be_read_is_refused(tmp_path, layout, told):
     with pytest.raises(UserError) as caught:
-        pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized")
+        pair(*folders(tmp_path), layout=layout)
     assert told in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_names_that_are_not_known_are_told_with_those_that_are(tmp_path):
+    content, style, stylized = folders(tmp_path)
+    stylized.rename(tmp_path / "old")
+    picture(stylized / "one" / "xa" / "0.png", 0)
+    with pytest.raises(
+        UserError,
+        match=r"give the --layout of names such as 'one/xa/0', where there is scene 'one', style 'a', frame '000'$",
+    ):
+        pair(content, style, stylized)
 
 
 def test_photographs_of_one_scene_are_not_those_of_two(tmp_path):
     content, style, stylized = folders(tmp_path)
-    with pytest.raises(UserError, match=r"of one scene, and the stylized images of 2 \(one, two\); give --content"):
+    with pytest.raises(UserError, match=r"is named {style}/{frame}; give --layout 'one/{style}_{frame}'"):
         pair(content / "one", style, stylized)
+    with pytest.raises(UserError, match=r"the photographs are of one scene, in no folder; leave out {scene}"):
+        pair(content / "one", style, stylized, layout="{scene}/{style}_{frame}")
 
 
 def test_folders_that_cannot_be_judged(tmp_path):
@@ -154,7 +195,7 @@ def test_folders_that_cannot_be_judged(tmp_path):
     (tmp_path / "words" / "a.txt").write_text("no image")
     with pytest.raises(ValueError, match="there is no content folder"):
         pair(tmp_path / "absent", style, stylized)
-    with pytest.raises(ValueError, match=r"the style folder .*empty holds no image"):
+    with pytest.raises(ValueError, match=r"the style folder .*empty holds no image; expected STYLE\.png"):
         pair(content, tmp_path / "empty", stylized)
     with pytest.raises(ValueError, match=r"the stylized folder .*words holds no image"):
         pair(content, style, tmp_path / "words")
@@ -198,8 +239,8 @@ def test_depth_and_cameras(tmp_path):
     with pytest.raises(ValueError, match=r"1\.npy is not a valid array of finite depth"):
         Reader()(pair(*known, depth).cells[0])
     (depth / "one" / "1.npy").unlink()
-    with pytest.raises(ValueError, match=r"2 of 6 .*one/a_1 \(no depth 1\)"):
+    with pytest.raises(ValueError, match=r"^depth is missing of one/001; add them"):
         pair(*known, depth)
     pairing = pair(*known, depth, missing="allow")
-    assert pairing.lacking() == "depth is missing of one/1"
+    assert pairing.lacking() == "depth is missing of one/001"
     torch.testing.assert_close(Reader()(pairing.cells[0]).depth[0, :, 0, 0], torch.tensor([1.0, 0.0, 3.0]))

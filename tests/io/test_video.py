@@ -92,3 +92,51 @@ def test_a_film_of_high_dynamic_range_says_so(tmp_path, caplog):
     phone(tmp_path / "a.mov", [20] * 3, trc="arib-std-b67")
     assert read_frames(tmp_path / "a.mov", 1)
     assert "high dynamic range (HLG)" in caplog.text
+
+
+@pytest.mark.parametrize(("suffix", "codec"), [("mkv", "libx264"), ("webm", "libvpx-vp9"), ("mp4", "libx264")])
+@pytest.mark.parametrize("count", [48, 47, 24])
+def test_as_many_frames_as_asked_for_are_read(tmp_path, suffix, codec, count):
+    path = tmp_path / f"a.{suffix}"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for number in range(48):
+            pixels = np.full((48, 64, 3), 5 * number, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        container.mux(stream.encode())
+    assert len(read_frames(path, count)) == count
+
+
+@pytest.mark.parametrize("rotation", [0, 90])
+def test_pixels_that_are_not_square_are_widened(tmp_path, rotation, caplog):
+    """A circle as it is shown, stored by pixels four thirds as wide as high, is a circle in the frames."""
+    path, aspect = tmp_path / "a.mp4", Fraction(4, 3)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 160, 120, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = aspect
+        stream.set_display_rotation(rotation)
+        rows, columns = np.mgrid[:120, :160]
+        inside = ((columns - 80) * float(aspect)) ** 2 + (rows - 60.0) ** 2 < 40**2
+        pixels = np.where(inside[..., None], 0, 255).astype(np.uint8).repeat(3, -1)
+        for _ in range(4):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        container.mux(stream.encode())
+    ((_, image),) = read_frames(path, 1)
+    assert sorted(image.size) == [120, 213]
+    dark = np.asarray(image.convert("L")) < 128
+    assert dark.any(0).sum() == pytest.approx(dark.any(1).sum(), abs=2)
+    assert "pixels 1.33 times as wide as high" in caplog.text
+
+
+@pytest.mark.parametrize(("size", "tagged"), [((720, 1280), True), ((360, 640), False)])
+def test_films_of_high_definition_are_bt_709(tmp_path, size, tagged):
+    red = torch.zeros(3, *size)
+    red[0] = 1
+    write_video([red] * 2, tmp_path / "a.mp4")
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        frame = next(container.decode(video=0))
+    luma = frame.to_ndarray(format="yuv420p")[0, 0]
+    assert (frame.colorspace == 1, frame.color_primaries == 1, frame.color_trc == 1) == (tagged,) * 3
+    assert luma == pytest.approx(16 + 219 * (0.2126 if tagged else 0.299), abs=1)

@@ -14,7 +14,7 @@ from anystyle import Controls, ExportOptions, Mixture, Named, PoseOptions, ViewO
 from anystyle.commands import stylize
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import read_views
-from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import embed_styles, slug
 from anystyle.pipeline.words import args_of, request

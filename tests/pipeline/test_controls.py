@@ -220,44 +220,23 @@ def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
     assert not torch.equal(large.gaussians.harmonics, plain.harmonics)
 
 
-def test_several_styles_share_a_scene_by_place(photographs):
-    stylizer = anystyle.load()
+def test_several_styles_share_a_scene_by_place_or_by_attribute(photographs, tmp_path):
+    """As the documentation does it: results are values, and one with other Gaussians is saved as any."""
     middle = Sphere((0.0, 0.0, 1.0), 0.3)
-    styles = anystyle.Places((("dots", None), ("fine hatching", middle)))
-    results = list(anystyle.stylize(photographs, [styles, "dots", "fine hatching"], model=stylizer, views=VIEWS))
-    scene, dots, hatching = (result.gaussians for result in results)
-    inside = (scene.means - torch.tensor(middle.center)).norm(dim=-1) <= middle.radius
-    assert 0 < int(inside.sum()) < inside.numel()
-    assert torch.equal(scene.harmonics[inside], hatching.harmonics[inside])
-    assert torch.equal(scene.harmonics[~inside], dots.harmonics[~inside])
-    assert results[0].style.title == "“dots” and “fine hatching”"
-    none = anystyle.stylize(photographs, styles, model=stylizer, views=VIEWS, controls=Controls(strength=0.0))
-    assert torch.equal(next(iter(none)).gaussians.harmonics, none.run.unstyled.harmonics)
-
-
-def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog):
-    """What Python says attribute by attribute: the colours of one style, the rotations of another."""
-    stylizer = anystyle.load("tiny")
-    styles = anystyle.Places(
-        (("dots", Controls(attributes=("color",))), ("hatching", Controls(attributes=("rotation",))))
+    stylizer = anystyle.load()
+    dots, hatching = anystyle.stylize(
+        photographs, ["dots", "fine hatching"], model=stylizer, views=VIEWS, video={"frames": 2}
     )
-    results = anystyle.stylize(photographs, styles, model=stylizer, reconstruction="feedforward", views=VIEWS)
-    ((scene, encoded),) = [(result.gaussians, results.encoded) for result in results]
-
-    def both(scene):
-        attributes = scene.attributes
-        for text, name in (("dots", "color"), ("hatching", "rotation")):
-            attributes = attributes.with_(stylizer.branch(scene, stylizer.embed(text=text)), [name])
-        return stylizer.backbone.adapter(attributes, scene.geometry, scene.clusters)
-
-    with torch.no_grad():
-        expected = encoded.gaussians(both)
-    for item in fields(Gaussians):
-        assert torch.equal(getattr(scene, item.name), getattr(expected, item.name)), item.name
-    assert not caplog.records
-    list(anystyle.stylize(photographs, anystyle.Places((("dots", Controls(attributes=("scale",))),)), model=stylizer,
-                          reconstruction="feedforward", views=VIEWS))  # fmt: skip
-    assert caplog.messages == ["“dots” leaves the scale as it is; branch.styled names what a branch styles"]
+    both = replace(dots, gaussians=blended(dots.gaussians, hatching.gaussians, hatching.weights(middle)))
+    inside = (both.gaussians.means - torch.tensor(middle.center)).norm(dim=-1) <= middle.radius
+    assert 0 < int(inside.sum()) < inside.numel()
+    assert torch.equal(both.gaussians.harmonics[inside], hatching.gaussians.harmonics[inside])
+    assert torch.equal(both.gaussians.harmonics[~inside], dots.gaussians.harmonics[~inside])
+    assert not torch.equal(
+        replace(dots.gaussians, harmonics=hatching.gaussians.harmonics).harmonics, both.gaussians.harmonics
+    )
+    anystyle.save(both, tmp_path / "both")
+    assert torch.equal(read_gaussians(tmp_path / "both" / "scene.safetensors").harmonics, both.gaussians.harmonics)
 
 
 def test_masks_lie_in_the_folders_of_photographs_or_are_named_as_views(tmp_path):

@@ -62,14 +62,6 @@ def test_a_renderer_that_sets_no_priority_or_cannot_be_imported_is_not_chosen(
     assert issubclass(catalog().find("renderer", "a_mine").load(), Renderer)
 
 
-def test_only_the_renderer_that_is_chosen_is_imported(undecided: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    loaded: list[str] = []
-    load = Plugin.load
-    monkeypatch.setattr(Plugin, "load", lambda self: loaded.append(self.name) or load(self))
-    assert best_renderer("cpu") == "cpu"
-    assert {*loaded} <= {"auto", "cpu"}
-
-
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat needs a CUDA device")
 def test_on_cuda() -> None:
     from anystyle.renderers.gsplat import GsplatRenderer

@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 
 from anystyle.training.run import train
 from tests.support.fully_sharded import steps as steps_divided
-from tests.support.processes import forking, meeting, said, start, together
+from tests.support.processes import meeting, new, said, start, together
 from tests.support.training_cases import STYLIZATION, configuration
 
 TOY = (*(word for word in STYLIZATION if not word.startswith("trainer.max_steps=")), "export.half=false")
@@ -64,7 +64,7 @@ def test_two_processes_that_divide_the_branch_between_them_take_the_steps_of_one
     words = (*TOY, "styles.num_styles=6", "trainer.max_steps=3")
     places = meeting(2)
     divided = [(words, tmp_path, rank, places, 2) for rank in range(2)]
-    started = [forking().Process(target=steps_divided, args=each) for each in (*divided, (words, tmp_path / "one"))]
+    started = [new.Process(target=steps_divided, args=each) for each in (*divided, (words, tmp_path / "one"))]
     for process in started:
         process.start()
     finish(*started)

@@ -140,3 +140,12 @@ def test_stylization_learns_and_continues_bit_for_bit(tmp_path):
     # The checkpoint holds the branch alone; what is frozen has files of its own.
     state = torch.load(halves / "last.ckpt", weights_only=True)["state_dict"]
     assert all(key.startswith("stylizer.branch.") for key in state)
+
+
+def test_files_that_lightning_leaves_under_slurm_are_not_resumed_from(tmp_path, monkeypatch):
+    """Lightning loads its own checkpoint from the run's folder, whatever ``resume`` says; this one cannot be read."""
+    (tmp_path / "hpc_ckpt_1.ckpt").write_bytes(b"a checkpoint of Lightning's")
+    for name, value in {"JOB_ID": "77", "NTASKS": "1", "JOB_NAME": "train", "PROCID": "0", "LOCALID": "0"}.items():
+        monkeypatch.setenv(f"SLURM_{name}", value)
+    outcome = anystyle.train(RECONSTRUCTION, tmp_path)
+    assert outcome.finished and outcome.steps == 6

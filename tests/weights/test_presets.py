@@ -1,5 +1,7 @@
 """The published sizes as presets: built without memory, filled from the file; and other precisions."""
 
+import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -16,13 +18,13 @@ from anystyle.registry.compose import compose, override
 from anystyle.stylizer import Stylizer
 from anystyle.testing.oracle import smooth_image
 from anystyle.types import StyleEmbedding, Views
-from tests.support import full_size
 from tests.support.weights_cases import STYLE_DIM, small_checkpoint, training_checkpoint
 
 # Parameters of the files, which the published code's own modules have.
 PARAMETERS = {"anysplat": 1_190_736_456, "anystyle_head": 1_251_520_924, "anystyle_full": 1_869_372_828}
 MASK_TOKEN, TEXT_ADAPTER = 1024, 525_312
 PARTS = ("backbone", "branch")
+ROOT = Path(__file__).parents[2]
 WITHIN = 1.15
 """Peak memory while loading, in the weights' size."""
 
@@ -53,6 +55,31 @@ def grown(file: Path, width: int, dtype: torch.dtype) -> None:
     save_file({f"encoder.{name}": torch.full(shape, 0.1, dtype=dtype) for name, shape in shapes.items()}, file)
 
 
+LOAD = """
+import json, sys
+import torch
+from anystyle.pipeline.load import build_and_load
+from anystyle.pipeline.weights import load_reference
+from anystyle.registry.compose import compose
+from tests.support.resident import sampled_peak
+
+with torch.device("meta"):  # the program itself, which is no matter of weights
+    build_and_load(compose("stylize", ["~model", "backbone=anysplat", "style_encoder=long_clip"]), {}, {})
+result = {}
+
+def load():
+    stylizer = load_reference(sys.argv[1], overrides=["backbone.taps=[1,2,3,4]", *sys.argv[2:]])
+    tensors = list(stylizer.state_dict().values())
+    sum(float(tensor.sum()) for tensor in tensors)  # looks at all, as a first pass would
+    result["size"] = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+    result["types"] = sorted({str(tensor.dtype) for tensor in tensors})
+
+result["peak"] = -sampled_peak(lambda: None) + sampled_peak(load)
+print(json.dumps(result))
+"""
+"""Loads a file, and prints the peak of the process's own memory above where it began."""
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory of files is told apart on Linux")
 @pytest.mark.parametrize(
@@ -62,7 +89,8 @@ def grown(file: Path, width: int, dtype: torch.dtype) -> None:
 def test_loading_holds_no_second_copy(tmp_path: Path, stored: torch.dtype, precision: str) -> None:
     """Not even where every tensor changes its type; on files of 250 and 500 MB, in a process of its own."""
     grown(tmp_path / "it.safetensors", 512, stored)
-    told = full_size.load(tmp_path / "it.safetensors", ["backbone.taps=[1,2,3,4]", f"precision={precision}"])
+    command = [sys.executable, "-c", LOAD, str(tmp_path / "it.safetensors"), f"precision={precision}"]
+    told = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
     assert ("torch.bfloat16" in told["types"]) is (precision == "bf16")
     assert told["size"] > 400e6
     assert told["peak"] < WITHIN * told["size"], told

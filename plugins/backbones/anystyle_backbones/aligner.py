@@ -161,25 +161,17 @@ class Aligner(nn.Module):
 
         They carry no gradient: matches and depth are supervised directly, and poses from bad matches only add noise.
         """
-        with torch.autocast(depth.device.type, enabled=False):
-            return self._poses(matches, cameras, depth)
-
-    def _poses(
-        self, matches: ViewMatches, cameras: Cameras, depth: Float[Tensor, "B V H W"]
-    ) -> Float[Tensor, "B V 4 4"]:
         batch, views = depth.shape[:2]
         (height, width), (rows, columns) = cameras.size, matches.grid
         cell, weight = matches.cells.flatten(0, 1), matches.confidence.flatten(0, 1)
         size = depth.new_tensor([width / columns, height / rows])
         cells = pixels(depth.new_empty(rows, columns)).flatten(1).mT  # P 2
-        source_ray, source = _unproject(
-            ((cells + 0.5) * size).expand(len(cell), -1, -1), cameras, depth, slice(1, None)
-        )
-        target_ray, target = _unproject((cell + 0.5) * size, cameras, depth, slice(0, 1))
-        motion = align(
-            MatchedPoints(source, target, source_ray, target_ray, weight),
-            scale=float(DOUBTFUL * width / cameras.intrinsics[:, :, 0, 0].mean()),
-        )
+        sources = ((cells + 0.5) * size).expand(len(cell), -1, -1)
+        scale = float(DOUBTFUL * width / cameras.intrinsics[:, :, 0, 0].mean())
+        with torch.autocast(depth.device.type, enabled=False):
+            source_ray, source = _unproject(sources, cameras, depth, slice(1, None))
+            target_ray, target = _unproject((cell + 0.5) * size, cameras, depth, slice(0, 1))
+            motion = align(MatchedPoints(source, target, source_ray, target_ray, weight), scale=scale)
         pose = torch.eye(4, dtype=depth.dtype, device=depth.device).expand(batch, views, 4, 4).clone()
         pose[:, 1:, :3, :3], pose[:, 1:, :3, 3] = (part.unflatten(0, (batch, views - 1)) for part in motion)
         return pose

@@ -51,26 +51,16 @@ class DptGaussians(contracts.GaussianHead):
         return (*tokens, Site("head/direct", self.dpt.width))
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
-        batch, views = images.shape[:2]
-        raw = by_views(lambda chosen: self._raw(features, images, inject, chosen), views, max(1, self.chunk // batch))
-        return self.attributes(raw)
+        size = images.shape[-2], images.shape[-1]
 
-    def _raw(
-        self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject, views: slice
-    ) -> Float[Tensor, "B v H W F"]:
-        images = images[:, views].to(self.dpt.dtype)
-        batch, count, _, height, width = images.shape
-        levels = []
-        for level, layer in enumerate(self.taps):
-            tokens = features[layer]
-            patches = self.dpt.norm(tokens.patches[:, views].to(self.dpt.dtype))
-            patches = inject(f"head/tokens/{level}", replace(tokens, data=patches, special=0)).data
-            levels.append(patches.flatten(0, 1))
-        decoded = self.dpt.decode(levels, features[self.taps[0]].grid, (height, width))
-        direct = self.image_features(images.flatten(0, 1)).unflatten(0, (batch, count))
-        direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
-        direct = direct.flatten(0, 1).unflatten(1, (height, width)).movedim(-1, 1)
-        return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
+        def direct(views: slice) -> Float[Tensor, "M E H W"]:
+            chosen = images[:, views].to(self.dpt.dtype)
+            found = self.image_features(chosen.flatten(0, 1)).unflatten(0, chosen.shape[:2])
+            found = inject("head/direct", Tokens(found, grid=size)).data
+            return found.flatten(0, 1).unflatten(1, size).movedim(-1, 1)
+
+        levels = [features[layer] for layer in self.taps]
+        return self.attributes(decoded_maps(self.dpt, levels, size, chunk=self.chunk, direct=direct, inject=inject))
 
 
 def decoded_maps(
@@ -80,16 +70,19 @@ def decoded_maps(
     *,
     chunk: int,
     direct: Callable[[slice], Float[Tensor, "M E H W"]] | None = None,
+    inject: Inject = untouched,
 ) -> Float[Tensor, "B V H W F"]:
     """A decoder's result from tokens of its levels, the earliest first, at ``size``; ``chunk`` views at a time.
 
-    ``direct`` computes what is added to the decoded maps of some views.
+    ``direct`` computes what is added to the decoded maps of some views; ``inject`` is called with the normalised tokens
+    of each level, at ``head/tokens/0..3``.
     """
     batch, views = levels[0].data.shape[:2]
 
     def decode(chosen: slice) -> Float[Tensor, "B v H W F"]:
-        patches = (level.patches[:, chosen].to(dpt.dtype) for level in levels)
-        decoded = dpt.decode([dpt.norm(each).flatten(0, 1) for each in patches], levels[-1].grid, size)
+        tokens = [replace(one, data=dpt.norm(one.patches[:, chosen].to(dpt.dtype)), special=0) for one in levels]
+        tokens = [inject(f"head/tokens/{level}", one) for level, one in enumerate(tokens)]
+        decoded = dpt.decode([one.data.flatten(0, 1) for one in tokens], levels[-1].grid, size)
         decoded = decoded if direct is None else decoded.add_(direct(chosen))
         return dpt.predict_(decoded).unflatten(0, (batch, -1))
 

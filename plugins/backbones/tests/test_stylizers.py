@@ -15,6 +15,7 @@ from anystyle.commands.train import run
 from anystyle.contracts import Backbone, StyleEncoder
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
+from anystyle.pipeline.load import PARTS, assemble
 from anystyle.pipeline.options import BranchOptions
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
@@ -136,11 +137,26 @@ def test_style_images_are_cut_to_a_square_and_pass_once(name: str) -> None:
 
 def small(name: str, folder: Path) -> list[str]:
     """The examples' networks, as overrides."""
-    words = ["weights.backbone=null"]
+    words = []
     for kind in ("backbone", "style_encoder"):
         options = catalog().find(kind, name).load().example(folder)
         words += [override(f"{kind}.{option}", value) for option, value in options.items()]
     return words
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_parts_share_the_tensors_of_their_file_unless_they_learn(name: str, learns: bool, tmp_path: Path) -> None:
+    file, own = tmp_path / "model.ckpt", network(name)
+    torch.save({"state_dict": file_of(own)}, file)
+    encoder = AS_THE_NETWORK_READS[name].get("native_resolution")
+    words = [f"style_encoder.native_resolution={encoder}"] if encoder else []
+    words += [f"weights.{part}={file}" for part in PARTS]
+    stylizer, found = assemble(compose("stylize", [f"model={name}", *small(name, tmp_path), *words]), learns=learns)
+    assert set(found) == set(PARTS)
+    same(stylizer.backbone.state_dict(), own.state_dict())
+    places = {tensor.data_ptr() for tensor in stylizer.backbone.state_dict().values()}
+    assert {tensor.data_ptr() for tensor in stylizer.style_encoder.state_dict().values()} <= places
+    assert all((tensor.data_ptr() in places) is not learns for tensor in stylizer.branch.state_dict().values())
 
 
 def test_photographs_and_a_painting_to_a_scene(
@@ -151,7 +167,14 @@ def test_photographs_and_a_painting_to_a_scene(
     for number in range(2):
         to_pil(smooth_image(number, (3, 70, 100))).save(tmp_path / "photos" / f"{number}.png")
     to_pil(smooth_image(7, (3, 70, 84))).save(tmp_path / "a.png")
-    options = [f"model={name}", *small(name, tmp_path), "poses=predicted", "video.frames=2", "video.scale=0.5"]
+    options = [
+        f"model={name}",
+        *small(name, tmp_path),
+        "weights.backbone=null",
+        "poses=predicted",
+        "video.frames=2",
+        "video.scale=0.5",
+    ]
     words = [str(tmp_path / "photos"), *options]
     with caplog.at_level(logging.INFO):
         stylize.main([*words, "--image", str(tmp_path / "a.png"), "--out", str(tmp_path / "out")])
@@ -184,7 +207,7 @@ def test_two_steps_of_the_second_stage(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = [f"experiment={name}", *TRAINING, *OWN[name], *small(name, tmp_path)]
+    words = [f"experiment={name}", *TRAINING, *OWN[name], *small(name, tmp_path), "weights.backbone=null"]
     launch("train", run, words)
     assert "2 steps done; " in capsys.readouterr().out
     assert (tmp_path / "runs" / "x" / "branch.safetensors").is_file()

@@ -192,7 +192,7 @@ def to_paint(views: Views, result: FitResult, renderer: Renderer) -> Views:
     if masks is None or views.cameras is None:
         return views
     shown = result.photographed(renderer, views.cameras, range(len(result.gains)), masked=True)
-    images = torch.where(masks.counted[:, None], masks.straight(views.images[0]), shown)
+    images = torch.where(masks.valid[:, None], masks.straight(views.images[0]), shown)
     return replace(views, images=images[None])
 
 
@@ -220,7 +220,7 @@ def fit_photographs(
     masks = None if masks is None else masks.select(order)
     hidden = tuple(sorted(order.index(view) for view in heldout))
     settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
-    masked = () if masks is None else (masks.alpha, masks.counted)
+    masked = () if masks is None else (masks.alpha, masks.valid)
     given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
     key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings, *masked)
 
@@ -285,11 +285,11 @@ def _initial(
     size = (round(height / ratio), round(width / ratio))
     chosen = interpolate(images[list(seen)].cpu(), size=size, mode="area")
     posed = cameras.select(list(seen)).to("cpu").resized(size)
-    shown, counted = None if points is None else [points[view].cpu() for view in seen], None
+    shown, valid = None if points is None else [points[view].cpu() for view in seen], None
     if masks is not None:
         smaller = masks.select(seen).resized(size)
-        chosen, counted = smaller.straight(chosen.to(images)).cpu(), smaller.measured.cpu()
-    stereo = plane_sweep(chosen, posed, points=shown, counted=counted)
+        chosen, valid = smaller.straight(chosen.to(images)).cpu(), smaller.measured.cpu()
+    stereo = plane_sweep(chosen, posed, points=shown, valid=valid)
     generator = torch.Generator().manual_seed(seed)
     surfaces = from_stereo(
         chosen, posed, stereo, num_gaussians=num_gaussians, unsupported=UNSUPPORTED, generator=generator

@@ -208,7 +208,7 @@ class FitLoop:
         if masks is not None:
             # Over the same colours, so that transparency is asked for where nothing is there.
             target = target + (1 - masks.alpha[view]) * (random - 1)
-            color = torch.where(masks.counted[view], color, target)
+            color = torch.where(masks.valid[view], color, target)
             measured = masks.measured[view, None]
         photometric_loss(color, target, dssim=DSSIM).backward()
         self._shrink()
@@ -273,7 +273,7 @@ class FitLoop:
         covered = gray.new_zeros(2, gray.shape[1])  # empty pixels, all pixels
         for view in self.training:
             color = self.renderer(replace(gaussians, harmonics=gray), self.cameras.select([view])).color[0, 0]
-            empty = self.masks.counted[view] & ~self.masks.measured[view]
+            empty = self.masks.valid[view] & ~self.masks.measured[view]
             for row, pixels in zip(covered, (empty.expand_as(color).to(color), torch.ones_like(color)), strict=True):
                 row += torch.autograd.grad(color, gray, pixels, retain_graph=True)[0][0, :, 0, 0]
         return covered[0] / covered[1].clamp_min(1e-6)

@@ -74,12 +74,12 @@ def backdrop(
 
     As many lie around the photographs, in the colours of their borders; there are none at or beside masked pixels.
     """
-    supported, counted = stereo.support >= 1, stereo.depth.isfinite()
+    supported, valid = stereo.support >= 1, stereo.depth.isfinite()
     bottom, right = (round(SURROUND * side) for side in images.shape[-2:])
     sides = (right, right, bottom, bottom)
     around = pad(torch.zeros_like(supported), sides, value=True)
-    around &= pad(counted[None].float(), sides, mode="replicate")[0] > 0
-    inside = _drawn(~supported & counted, num_gaussians, generator)
+    around &= pad(valid[None].float(), sides, mode="replicate")[0] > 0
+    inside = _drawn(~supported & valid, num_gaussians, generator)
     pixels = torch.cat([inside, _drawn(around, num_gaussians, generator) - torch.tensor([0, bottom, right])])
     known = stereo.depth[supported]
     far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)

@@ -20,30 +20,30 @@ class Masks:
     """What photographs say of their pixels, as :class:`~anystyle.types.Views` has it."""
 
     alpha: Float[Tensor, "V H W"]
-    counted: Bool[Tensor, "V H W"]
+    valid: Bool[Tensor, "V H W"]
 
     @classmethod
     def of(cls, views: Views) -> "Masks | None":
         """Those of the photographs of one scene, if there are any."""
-        if views.alpha is None and views.counted is None:
+        if views.alpha is None and views.valid is None:
             return None
         ones = torch.ones_like(views.images[0, :, 0])
         alpha = ones if views.alpha is None else views.alpha[0]
-        return cls(alpha, ones.bool() if views.counted is None else views.counted[0])
+        return cls(alpha, ones.bool() if views.valid is None else views.valid[0])
 
     @property
     def measured(self) -> Bool[Tensor, "V H W"]:
         """Where a photograph shows the scene."""
-        return self.counted & (self.alpha >= COVERED)
+        return self.valid & (self.alpha >= COVERED)
 
     def resized(self, size: tuple[int, int]) -> "Masks":
         """The same for images that area interpolation brings to ``size``; a pixel counts if all of it does."""
-        alpha, counted = interpolate(torch.stack([self.alpha, self.counted.float()]), size=size, mode="area")
-        return Masks(alpha, counted == 1)
+        alpha, valid = interpolate(torch.stack([self.alpha, self.valid.float()]), size=size, mode="area")
+        return Masks(alpha, valid == 1)
 
     def select(self, views: Sequence[int]) -> "Masks":
         """Those of some views."""
-        return Masks(self.alpha[list(views)], self.counted[list(views)])
+        return Masks(self.alpha[list(views)], self.valid[list(views)])
 
     def straight(self, images: Float[Tensor, "V 3 H W"]) -> Float[Tensor, "V 3 H W"]:
         """The colours of what is there, without the white that shows through."""
@@ -58,8 +58,8 @@ class Masks:
         covered = max_pool2d(self.alpha, 3, 1, 1) >= COVERED
         for view in range(len(self.alpha)):
             row, column, _, within = pixels_of(means, cameras, view)
-            counted = self.counted[view, row, column] & within
+            valid = self.valid[view, row, column] & within
             inside |= within
-            shown |= counted & covered[view, row, column]
-            empty |= counted & ~covered[view, row, column]
+            shown |= valid & covered[view, row, column]
+            empty |= valid & ~covered[view, row, column]
         return ~empty & (shown | ~inside)

@@ -56,9 +56,9 @@ def plane_sweep(
     cameras: Cameras,
     *,
     points: Sequence[Float[Tensor, "_ 3"]] | None = None,
-    counted: Bool[Tensor, "V H W"] | None = None,
+    valid: Bool[Tensor, "V H W"] | None = None,
 ) -> StereoDepth:
-    """Estimate the depth of every view of one scene, without the pixels that are not counted."""
+    """Estimate the depth of every view of one scene, without the pixels that are not valid."""
     num_views, height, width = images.shape[0], images.shape[-2], images.shape[-1]
     if num_views < 2 or min(height, width) <= 2 * RADIUS:
         raise UserError(
@@ -66,15 +66,15 @@ def plane_sweep(
             f"{2 * RADIUS + 1} pixels"
         )
     gray = (images * images.new_tensor([0.299, 0.587, 0.114])[:, None, None]).sum(1)  # V H W
-    if counted is None:
-        counted = torch.ones_like(gray, dtype=torch.bool)
+    if valid is None:
+        valid = torch.ones_like(gray, dtype=torch.bool)
     else:  # windows of one grey value correlate with nothing
-        gray = torch.where(counted, gray, MASKED)
+        gray = torch.where(valid, gray, MASKED)
     rig = _Rig(cameras.intrinsics[0].double(), cameras.camera_from_world[0].double())
     if points is None:
-        points = _coarse_points(gray, rig, counted)
+        points = _coarse_points(gray, rig, valid)
     ranges, neighbors = _ranges(rig, points), _neighbors(rig, points, cameras.size)
-    return _sweep(gray, rig, ranges, neighbors, NUM_PLANES, TOLERANCE, counted)
+    return _sweep(gray, rig, ranges, neighbors, NUM_PLANES, TOLERANCE, valid)
 
 
 @dataclass(frozen=True)
@@ -151,12 +151,12 @@ def _nearest(rig: _Rig, view: int) -> list[int]:
     return [int(other) for other in order if other != view][:NUM_NEIGHBORS]
 
 
-def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig, counted: Bool[Tensor, "V H W"]) -> list[Tensor]:
+def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig, valid: Bool[Tensor, "V H W"]) -> list[Tensor]:
     """Points of each view by a sweep of small images, from infinity to where the parallax is the image's width."""
     scale = min(1.0, COARSE_SIDE / min(gray.shape[-2:]))
     size = round(gray.shape[-2] * scale), round(gray.shape[-1] * scale)
     small = interpolate(gray[None], size=size, mode="area")[0]
-    inside = interpolate(counted[None].float(), size=size, mode="area")[0] == 1
+    inside = interpolate(valid[None].float(), size=size, mode="area")[0] == 1
     factor = rig.intrinsics.new_tensor([size[1] / gray.shape[-1], size[0] / gray.shape[-2], 1.0])
     coarse = replace(rig, intrinsics=rig.intrinsics * factor[:, None])
     neighbors = [_nearest(coarse, view) for view in range(len(gray))]
@@ -184,7 +184,7 @@ def _sweep(
     neighbors: list[list[int]],
     num_planes: int,
     tolerance: float,
-    counted: Bool[Tensor, "V H W"],
+    valid: Bool[Tensor, "V H W"],
 ) -> StereoDepth:
     pixels = gray.float().contiguous().numpy()
     depth, confidence = np.empty_like(pixels), np.empty_like(pixels)
@@ -213,7 +213,7 @@ def _sweep(
 
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         list(pool.map(estimate, range(len(gray))))
-        depths[~counted] = nan  # agrees with nothing
+        depths[~valid] = nan  # agrees with nothing
         list(pool.map(check, range(len(gray))))
     return StereoDepth(depths, torch.from_numpy(confidence), support)
 

@@ -56,34 +56,34 @@ def test_nothing_is_built_where_photographs_are_transparent(photographs):
 def test_what_is_ignored_is_neither_learnt_nor_measured_and_other_photographs_fill_it(photographs):
     """A red figure stands elsewhere in each photograph."""
     images, cameras, _ = photographs
-    counted, spoiled = torch.ones(images[:, 0].shape, dtype=torch.bool), images.clone()
+    valid, spoiled = torch.ones(images[:, 0].shape, dtype=torch.bool), images.clone()
     for view in range(9):
-        counted[view, 10:30, 3 + 4 * view : 12 + 4 * view] = False
+        valid[view, 10:30, 3 + 4 * view : 12 + 4 * view] = False
     red = torch.tensor([1.0, 0.0, 0.0])[:, None, None]
-    spoiled = torch.where(counted[:, None], images, red)
-    masks = Masks(torch.ones_like(images[:, 0]), counted)
+    spoiled = torch.where(valid[:, None], images, red)
+    masks = Masks(torch.ones_like(images[:, 0]), valid)
     given = {"num_gaussians": 900, "options": OPTIONS, "heldout": (4,)}
     masked = fit_photographs(spoiled, cameras, RENDERER, masks=masks, **given)
     plain = fit_photographs(spoiled, cameras, RENDERER, **given)
     clean = fit_photographs(images, cameras, RENDERER, **given)
     assert masked.heldout.psnr > plain.heldout.psnr + 1 and masked.heldout.psnr > clean.heldout.psnr - 1
-    behind = (RENDERER(masked.gaussians, cameras).color[0].detach() - images).abs().mean(1)[~counted].mean()
+    behind = (RENDERER(masked.gaussians, cameras).color[0].detach() - images).abs().mean(1)[~valid].mean()
     assert behind < 0.12
-    views = Views(spoiled[None], cameras, counted=counted[None])
+    views = Views(spoiled[None], cameras, valid=valid[None])
     painted = to_paint(views, masked, RENDERER).images[0]
-    assert (painted - images).abs().mean(1)[~counted].mean() < 0.12
-    assert torch.equal(painted.movedim(1, -1)[counted], images.movedim(1, -1)[counted])
+    assert (painted - images).abs().mean(1)[~valid].mean() < 0.12
+    assert torch.equal(painted.movedim(1, -1)[valid], images.movedim(1, -1)[valid])
 
 
 def test_hidden_colors_change_nothing(photographs):
     """Neither in stereo nor in the fit: what is ignored may be any colour."""
     images, cameras, _ = photographs
-    counted = disc() == 1
+    valid = disc() == 1
     noise = torch.rand(images.shape, generator=torch.Generator().manual_seed(1))
-    others = torch.where(counted[:, None], images, noise)
-    first, second = (plane_sweep(given, cameras, counted=counted) for given in (images, others))
-    assert torch.equal(first.support, second.support) and not first.support[~counted].any()
-    assert first.depth.isfinite().equal(counted)
+    others = torch.where(valid[:, None], images, noise)
+    first, second = (plane_sweep(given, cameras, valid=valid) for given in (images, others))
+    assert torch.equal(first.support, second.support) and not first.support[~valid].any()
+    assert first.depth.isfinite().equal(valid)
     torch.testing.assert_close(first.depth, second.depth, equal_nan=True)
 
 

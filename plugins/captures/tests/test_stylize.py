@@ -53,10 +53,10 @@ def test_photographs_become_a_scene_that_styles_color(fitted, tmp_path):
     first, second = fitted[0], fitted[1]
     assert torch.equal(first.gaussians.means, second.gaussians.means)
     assert (first.gaussians.harmonics - second.gaussians.harmonics).abs().mean() > 0.05
-    unstyled = torch.stack(list(fitted.encoded.render(fitted.restyler.unstyled)))
+    unstyled = torch.stack(list(fitted.encoded.render(fitted.run.unstyled)))
     error = (unstyled - fitted.encoded.views.images[0]).square().mean((1, 2, 3))
     assert float((-10 * error.log10()).mean()) > 20
-    first.save(tmp_path / "out")
+    anystyle.save(first, tmp_path / "out")
     report = json.loads((tmp_path / "out" / "report.json").read_text())["reconstruction"]
     assert report["kind"] == "fit" and report["registered"] == 6 and report["trust"] == "good"
     assert report["reasons"] == [] and report["num_gaussians"] == first.gaussians.means.shape[1]

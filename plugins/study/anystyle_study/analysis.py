@@ -10,10 +10,10 @@ import numpy as np
 from scipy import special, stats
 
 from anystyle.errors import UserError
+from anystyle_study.answers import Records
 from anystyle_study.checks import KINDS, Checks, check
 from anystyle_study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
 from anystyle_study.protocol import Rules, Study
-from anystyle_study.reading import Records
 from anystyle_study.statistics import Effect, Variation, agreement, crossed_mean, effects, holm, t_pvalue, variation
 
 

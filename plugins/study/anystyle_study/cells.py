@@ -36,7 +36,9 @@ class AnswerColumn:
         text = _joined(cell)
         if plain(text) in _MISSING:
             return math.nan
-        mark = _mark(text) or self._mark or ("," * self._semicolons if "," in text else ".")
+        mark = _mark(text) or self._mark
+        if not mark and not ("," in text and not self._semicolons):
+            mark = "," if "," in text else "."
         if not (mark and _NUMBER[mark].fullmatch(text)):
             return None
         return float(text.replace("," if mark == "." else ".", "").replace(mark, "."))

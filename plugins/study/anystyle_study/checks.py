@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from anystyle.errors import UserError
+from anystyle_study.answers import Answer, Records
 from anystyle_study.contract import Responses, Scale
+from anystyle_study.people import some
 from anystyle_study.protocol import Rules
-from anystyle_study.reading import Answer, Records
 
 KINDS = ("failed_attention_check", "fast", "duplicated", "out_of_range", "straight_lining", "missing")
 _MAX_OUTSIDE = 0.1  # fraction of a question's answers outside the scale; above it, the scale must be another one
-_MIN_STRAIGHT = 8  # equal answers that count as straight-lining
+_MIN_STRAIGHT = 8  # answers to a question, all equal, that count as straight-lining
 _MIN_KEPT = 0.5  # fraction of the participants; with fewer left, there is no conclusion
 
 
@@ -80,26 +81,11 @@ def check(
     asked = {name: asked[name] for name in dict.fromkeys(answer.question for answer in main)}
     for person, answers in _grouped(main, "participant").items():
         given = [answer for answer in answers if not math.isnan(answer.score)]
-        scores = {answer.score for answer in given}
-        if len(given) >= _MIN_STRAIGHT and len(scores) == 1:
-            detail = f"all {len(given)} answers are {scores.pop():g}, whichever side ours was on"
-            checks.add("straight_lining", person, detail, "one answer throughout" * rules.straight_lining)
+        _check_straight_lining(person, given, rules, checks)
         # Without a design, only sets with a row count as assigned.
-        sets, answered = records.assigned.get(person, len(items[person])), Counter(one.question for one in given)
-        lacking = {question: sets * count - answered[question] for question, count in asked.items()}
-        if lacking := {question: count for question, count in lacking.items() if count > 0}:
-            checks.missing[person] = lacking
-            missing, expected = sum(lacking.values()), sets * sum(asked.values())
-            rule = f"more than {rules.missing_share:.0%} of the assigned answers missing"
-            listed = ", ".join(f"{question} {count}" for question, count in lacking.items())
-            detail = f"{missing} of {expected} answers ({listed})"
-            checks.add("missing", person, detail, rule * (missing > rules.missing_share * expected))
-        # A set takes as long as the slowest of its answers.
-        timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
-        if fast := sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed):
-            rule = f"more than {rules.fast_share:.0%} of the sets answered too fast"
-            detail = f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s"
-            checks.add("fast", person, detail, rule * (fast > rules.fast_share * len(timed)))
+        sets = records.assigned.get(person, len(items[person]))
+        _check_missing(person, given, {question: sets * count for question, count in asked.items()}, rules, checks)
+        _check_speed(person, answers, rules, checks)
     excluded = {exclusion.participant for exclusion in checks.exclusions}
     remaining = [answer for answer in main if not math.isnan(answer.score) and answer.participant not in excluded]
     responses = tuple(part for part in split(remaining, by_question) if part.count)
@@ -185,11 +171,46 @@ def _check_attention(
         unanswered = {answer.item for answer in given if math.isnan(answer.score)}
         names = list(dict.fromkeys(answer.item for answer in given if failed(answer)))
         if names:
-            detail = f"{len(names)} of {len({answer.item for answer in given})} failed: "
-            detail += ", ".join(name + " (no answer)" * (name in unanswered) for name in names)
+            listed = ", ".join(f"{name} (no answer)" if name in unanswered else name for name in names)
+            detail = f"{len(names)} of {len({answer.item for answer in given})} failed: {listed}"
             strict = rules.failed_checks is not None and len(names) > rules.failed_checks
             rule = f"more than {rules.failed_checks} attention checks failed" if strict else ""
             checks.add("failed_attention_check", person, detail, rule)
+
+
+def _check_straight_lining(person: str, given: Sequence[Answer], rules: Rules, checks: Checks) -> None:
+    """One answer throughout a question is listed; it excludes where every question with enough answers has one."""
+    long = {name: same for name, same in _grouped(given, "question").items() if len(same) >= _MIN_STRAIGHT}
+    straight = {name: same for name, same in long.items() if len({answer.score for answer in same}) == 1}
+    rule = "one answer throughout every question" if rules.straight_lining and len(straight) == len(long) else ""
+    for name, same in straight.items():
+        detail = f"{name}: all {len(same)} answers are {same[0].score:g}, whichever side ours was on"
+        checks.add("straight_lining", person, detail, rule)
+
+
+def _check_missing(
+    person: str, given: Sequence[Answer], expected: Mapping[str, int], rules: Rules, checks: Checks
+) -> None:
+    """Answers that are missing of the number expected to each question."""
+    answered = Counter(answer.question for answer in given)
+    lacking = {question: count - answered[question] for question, count in expected.items()}
+    lacking = {question: count for question, count in lacking.items() if count > 0}
+    if lacking:
+        checks.missing[person] = lacking
+        missing, total = sum(lacking.values()), sum(expected.values())
+        strict = missing > rules.missing_share * total
+        rule = f"more than {rules.missing_share:.0%} of the assigned answers missing" if strict else ""
+        listed = ", ".join(f"{question} {count}" for question, count in lacking.items())
+        checks.add("missing", person, f"{missing} of {total} answers ({listed})", rule)
+
+
+def _check_speed(person: str, answers: Sequence[Answer], rules: Rules, checks: Checks) -> None:
+    """Sets that were answered too fast; a set takes as long as the slowest of its answers."""
+    timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
+    if fast := sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed):
+        strict = fast > rules.fast_share * len(timed)
+        rule = f"more than {rules.fast_share:.0%} of the sets answered too fast" if strict else ""
+        checks.add("fast", person, f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s", rule)
 
 
 def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Checks) -> list[Answer]:
@@ -198,10 +219,13 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
 
     for question, given in _grouped(answers, "question").items():
         scale, scores = scales[question], [answer.score for answer in given if not math.isnan(answer.score)]
-        if sum(map(outside, given)) > _MAX_OUTSIDE * len(scores):
+        strange = [answer.score for answer in filter(outside, given)]
+        if len(strange) > _MAX_OUTSIDE * len(scores):
+            farthest = max(strange, key=lambda score: abs(score - scale.midpoint))
             raise UserError(
                 f"question {question!r} has answers from {min(scores):g} to {max(scores):g} where the "
-                f"scale is {scale.low:g} to {scale.high:g}; do not mix scales, or give the right one with --scale"
+                f"scale is {scale.low:g} to {scale.high:g}; do not mix scales, give the right one with --scale, or say "
+                f"which number stands for a missing answer, as with --label={farthest:g}=NA"
             )
     for answer in filter(outside, answers):
         checks.add("out_of_range", answer.participant, f"{answer.item}, {answer.question}: {answer.score:g}, left out")
@@ -209,14 +233,26 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
 
 
 def _deduplicated(answers: Sequence[Answer], checks: Checks) -> list[Answer]:
-    """Keep the first of several answers to the same question of the same set."""
-    cells = _grouped(answers, "participant", "item", "question", "comparison", "method").values()
-    for same in cells:
-        if len(same) > 1:
-            scores = ", ".join(f"{answer.score:g}" for answer in same)
+    """Keep the first of several answers to the same question of the same set; a missing one is none."""
+    kept, people, sources, differ = [], Counter[str](), set[str](), 0
+    for same in _grouped(answers, "cell").values():
+        given = [answer for answer in same if not math.isnan(answer.score)]
+        kept.append((given or same)[0])
+        if len(given) > 1:
+            scores = ", ".join(f"{answer.score:g}" for answer in given)
             detail = f"{same[0].item}, {same[0].question}: {scores}; the first is used"
             checks.add("duplicated", same[0].participant, detail)
-    return [same[0] for same in cells]
+            people[same[0].participant] += 1
+            sources |= {answer.source for answer in given}
+            differ += len({answer.given for answer in given}) > 1
+    if people:
+        counts = some([f"{person}: {count}" for person, count in people.items()])
+        where = f"; in {some(sources, ' and ')}" if len(sources) > 1 else ""
+        alike = f"{differ} differ" if differ else "all are alike"
+        checks.notes.append(
+            f"{people.total()} answers were given more than once ({counts}{where}). The first counts; {alike}."
+        )
+    return kept
 
 
 def _notes(records: Records, answers: Sequence[Answer], checks: Checks) -> Iterable[str]:

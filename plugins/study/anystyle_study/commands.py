@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from anystyle_study.reading import read_responses
 CONF = Path(__file__).parent / "conf"
 
 
+@cache
 def _register_plan() -> None:
     """Make the plan's options known to Hydra, with their defaults, before a preset changes them."""
     ConfigStore.instance().store(group="study", name="_plan", node=plan_defaults(), provider="anystyle-study")
@@ -148,6 +149,8 @@ def analyze_parser() -> argparse.ArgumentParser:
     add("--label", action="append", default=[], metavar="WORD=SCORE", help=label)
     wide = "tables may have one row per person, with columns such as S1:style, S1:ours_is"
     add("--wide", action="store_true", help=wide)
+    sessions = "people of one name in different files, or sessions (by a column session), are different people"
+    add("--sessions", action="store_true", help=sessions)
     key = "table of column, item, question, ours_is (or method): what the columns of a --wide table are about"
     add("--columns", type=Path, metavar="FILE", help=key)
     add("--title", default="User study", help="title of the report")
@@ -189,13 +192,13 @@ def analyze_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     )
     common = {name: getattr(settings, name) for name in StudyTest.runtime}
     tests = build_all(StudyTest, config.study_test, **common)
-    read = arguments.responses
-    records = read_responses(read, study, labels=labels, wide=arguments.wide, columns=arguments.columns)
+    reading = {name: getattr(arguments, name) for name in ("wide", "columns", "sessions")}
+    records = read_responses(arguments.responses, study, labels=labels, **reading)
     analysis = analyze(records, tests, settings, lambda name: print(f"testing {name} …", file=sys.stderr, flush=True))
     out = job_folder(str(arguments.out))
     with atomic_directory(out) as folder:
         _write(analysis, folder, arguments)
-    print(wording.took_part(analysis))
+    print("\n".join([wording.took_part(analysis), *analysis.checks.notes]))
     for question in analysis.questions:
         print(f"{question.responses.question}: {wording.verdict(analysis, question)}")
     for item in analysis.checks.exclusions:

@@ -91,7 +91,10 @@ def _usable(
     pairs = {pair for frames in results.values() for pair in frames}
     for scene, style in sorted(pairs):
         lacking = [name for name, frames in results.items() if (scene, style) not in frames]
-        lacking += ["the photographs"] * (scene not in contents) + ["the styles"] * (style not in styles)
+        if scene not in contents:
+            lacking.append("the photographs")
+        if style not in styles:
+            lacking.append("the styles")
         if lacking:
             left_out[scene, style] = f"{scene} / {style}: not among {', '.join(lacking)}"
     reasons = list(left_out.values())
@@ -177,7 +180,8 @@ def _participants(
 ) -> tuple[tuple[Participant, ...], tuple[Check, ...]]:
     """Order and positions for each participant, and the repeated sets that these need."""
     columns = [[item.scene for item in items], [item.style for item in items]]
-    columns += [[f"{item.method}/{item.baseline}" for item in items]] * (plan.pairs == "all")
+    if plan.pairs == "all":
+        columns.append([f"{item.method}/{item.baseline}" for item in items])
     factors = np.stack([np.unique(column, return_inverse=True)[1] for column in columns], axis=1)
     subsets = balanced_subsets(factors, plan.sets, plan.participants // 2, generator)
     positions = balanced_positions(plan.participants, plan.sets, generator)

@@ -79,7 +79,7 @@ def _level_color(level: float) -> Any:
     """Colour of an answer from -1 (ours) to 1 (theirs)."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    color, mixed = ((OURS, "#8fbccb"), (THEIRS, "#eab48c"))[level > 0]
+    color, mixed = (THEIRS, "#eab48c") if level > 0 else (OURS, "#8fbccb")
     return LinearSegmentedColormap.from_list("side", [NEUTRAL, mixed, color])(abs(level))
 
 

@@ -18,16 +18,27 @@ _MAX_BYTES = 256 << 20
 _WORKBOOKS = (b"PK\3\4", b"\xd0\xcf\x11\xe0")
 
 
+PEOPLE = (
+    *("prolific_pid", "prolific_id", "participant_id", "participant.code", "subject", "subject_id"),
+    *("worker_id", "workerid", "response_id", "responseid"),
+)
+"""Columns by which other programs name people, of which the first counts that is there."""
+
+
 class Sheet(NamedTuple):
-    """A header and rows of as many cells."""
+    """A header, rows of as many cells, and the number of each row in the file."""
 
     names: list[str]
     rows: list[list[str]]
+    lines: list[int]
     semicolons: bool  # whether semicolons separate the cells, as where numbers have a decimal comma
 
 
 def read_sheet(path: Path) -> Sheet:
-    """The table in a CSV or JSON file; columns without a name are dropped if they are empty."""
+    """The table in a CSV or JSON file, without empty columns that have no name, and without Qualtrics' own rows.
+
+    The column that names people is called ``participant``.
+    """
     text = _decoded(read_bytes(path, most=_MAX_BYTES, what="table of answers"), path.name)
     if not text.strip():
         raise UserError(f"{path.name} is empty; expected a table with a header")
@@ -41,8 +52,43 @@ def read_sheet(path: Path) -> Sheet:
     table = [[str("" if cell is None else cell).strip() for cell in row] for row in rows]
     names = [name.strip() for name in names]
     kept = [index for index, name in enumerate(names) if name or any(row[index] for row in table)]
-    names = [names[index] or f"column {index + 1}" for index in kept]
-    return Sheet(names, [[row[index] for index in kept] for row in table], semicolons)
+    names = _with_people([names[index] or f"column {index + 1}" for index in kept], path.name)
+    table = [[row[index] for index in kept] for row in table]
+    answers = _answers(names, table, path.name)
+    return Sheet(names, [table[index] for index in answers], [index + 2 for index in answers], semicolons)
+
+
+def plain_name(name: str) -> str:
+    """A column's name, whatever its case, spaces and dashes."""
+    return re.sub(r"[\s-]+", "_", name.lower())
+
+
+def _with_people(names: list[str], source: str) -> list[str]:
+    """The names of columns, that of the people as ``participant``."""
+    plain = list(map(plain_name, names))
+    for name in ("participant", *PEOPLE):
+        if plain.count(name) == 1:
+            index = plain.index(name)
+            if name != "participant":
+                log.warning("%s: people are named by the column %s", source, names[index])
+            return [*names[:index], "participant", *names[index + 1 :]]
+    return names
+
+
+def _answers(names: list[str], rows: list[list[str]], source: str) -> list[int]:
+    """The rows that participants gave: not Qualtrics' texts of questions, import ids and previews."""
+    ids = [index for index, row in enumerate(rows[:2]) if any(cell.startswith('{"ImportId":') for cell in row)]
+    first = ids[0] + 1 if ids else 0
+    if ids:
+        log.warning("%s: rows 2 to %d, Qualtrics' texts and import ids, are left out", source, first + 1)
+    kinds = [index for index, name in enumerate(names) if plain_name(name) in ("status", "response_type")]
+    tried = {"survey preview", "survey test", *(("1", "2") if ids else ())}
+    answers = [
+        index for index in range(first, len(rows)) if not any(rows[index][column].lower() in tried for column in kinds)
+    ]
+    if previews := len(rows) - first - len(answers):
+        log.warning("%s: %d previews of the survey are left out", source, previews)
+    return answers
 
 
 def _decoded(content: bytes, source: str) -> str:

@@ -48,8 +48,17 @@ class Scenario:
                 f"{self.items} items each of a pool of {self.sets}: {self.scenes} scenes and {self.styles} styles make "
                 f"{pairs} sets; give more with --scenes and --styles"
             )
-        if min(self.residual_sd, *self.sds.values()) < 0:
+        sds = (self.residual_sd, *self.sds.values())
+        if min(sds) < 0:
             raise UserError("a standard deviation is negative; expected 0 or more")
+        if max(sds) == 0:
+            raise UserError("every standard deviation is 0: the answers do not vary, and nothing can be tested")
+        most = (self.scale.high - self.scale.low) / 2
+        if abs(self.effect) > most:
+            raise UserError(
+                f"an effect of {self.effect:g} points does not fit a scale of {self.scale.low:g} to "
+                f"{self.scale.high:g}: give at most {most:g}"
+            )
 
     @property
     def sets(self) -> int:

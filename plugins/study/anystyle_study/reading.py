@@ -6,16 +6,16 @@ or whose rating it is in ``method`` (ours or theirs).
 
 import logging
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from anystyle.errors import UserError, unknown
+from anystyle_study.answers import Answer, Records
 from anystyle_study.cells import AnswerColumn, plain, scale_words
-from anystyle_study.files import read_sheet
+from anystyle_study.files import plain_name, read_sheet
+from anystyle_study.people import check_names, check_sources
 from anystyle_study.protocol import Check, Study
 from anystyle_study.wide import long_rows
 
@@ -23,46 +23,11 @@ log = logging.getLogger(__name__)
 
 REQUIRED = ("participant", "item", "question", "score")  # the columns that every table has
 _OPTIONAL = ("study", "side", "ours_is", "method", "scene", "style", "expected", "comparison", "seconds", "comment")
-_BOOKKEEPING = ("time", "session", "device", "revision", "received", "id")
+_OPTIONAL += ("session",)
+_BOOKKEEPING = ("time", "device", "revision", "received", "id")
 _KNOWN = frozenset(("", *REQUIRED, *_OPTIONAL, *_BOOKKEEPING))
 _SUFFIXES = (".csv", ".tsv", ".json")
 _Row = dict[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """One answer and what it is about."""
-
-    participant: str  # who answered
-    item: str  # the set that was judged
-    question: str  # the question's name
-    score: float  # as it was given; ``nan`` if it is missing
-    ours_is_a: bool = False  # whether ours (in a degraded check: the intact side) was shown as A
-    method: str = ""  # whose rating it is, ``ours`` or ``theirs``; empty for a comparison
-    expected: float = math.nan  # right answer of an attention check of another form; else ``nan``
-    check: str = ""  # ``degraded`` or ``repeat`` for an attention check of the design; else empty
-    of: str = ""  # the item that the check was made from
-    comparison: str = ""  # the baseline, if there are several; else empty
-    scene: str = ""  # of the item; empty if unknown
-    style: str = ""  # of the item; empty if unknown
-    seconds: float = math.nan  # time taken; ``nan`` if unknown
-
-    @property
-    def is_check(self) -> bool:
-        """Whether it answers an attention check."""
-        return bool(self.check) or not math.isnan(self.expected)
-
-
-@dataclass(frozen=True)
-class Records:
-    """The answers of a study."""
-
-    answers: tuple[Answer, ...]  # in the order of the files
-    # number of items that each participant was to judge, where known
-    assigned: Mapping[str, int] = field(default_factory=dict)
-    comments: tuple[tuple[str, str], ...] = ()  # free texts, each with its participant
-    unused: tuple[str, ...] = ()  # columns that are not understood, and were ignored
-    sources: tuple[str, ...] = ()  # names of the files
 
 
 def read_responses(
@@ -72,17 +37,31 @@ def read_responses(
     labels: Mapping[str, float] = {},
     wide: bool = False,
     columns: Path | None = None,
+    sessions: bool = False,
 ) -> Records:
     """Read answers from files and folders of files; the form's own answers need the study's design.
 
     ``labels`` are the scores of labels besides those of the design's questions. With ``wide``, a table may have one row
-    per person; ``columns`` is a table that says what each of its columns is about, if their names do not.
+    per person; ``columns`` is a table that says what each of its columns is about, if their names do not. With
+    ``sessions``, people of one name are different people in different files, and in different sessions by the column
+    ``session``: the session becomes a part of their names.
+
+    Raises:
+        UserError: A file cannot be read, or people of one name gave different answers in different files or sessions,
+            or the names of two differ in spelling alone.
     """
     files = [file for path in paths for file in _files(path)]
     if not files:
         raise UserError("no file of responses is given; name CSV or JSON files, or a folder of them")
     tables = {file: _rows(file, wide=wide, columns=columns, study=study) for file in files}
+    if sessions:
+        for file, (table, _) in tables.items():
+            for row in table:
+                parts = (row["participant"], file.stem if len(files) > 1 else "", row.get("session", ""))
+                row["participant"] = "-".join(filter(None, parts))
     answers = [answer for file, table in tables.items() for answer in _answers(*table, file.name, study, labels)]
+    check_names(answers)
+    check_sources(answers)
     people = {answer.participant for answer in answers}
     assigned = {} if study is None else {person: count for person in people if (count := study.num_items(person))}
     rows = [row for table, _ in tables.values() for row in table]
@@ -111,13 +90,13 @@ def _files(path: Path) -> list[Path]:
 def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) -> tuple[list[_Row], bool]:
     """The rows of a file, all with the same columns and their place under ``""``; whether semicolons part its cells."""
     sheet = read_sheet(path)
-    names = [_known_name(name) for name in sheet.names]
+    names = [plain_name(name) if plain_name(name) in _KNOWN else name for name in sheet.names]
     missing = [name for name in REQUIRED if name not in names]
     if missing and (wide or columns):
         table = long_rows(sheet, path.name, columns, () if study is None else study.shown)
     elif missing:
         raise UserError(
-            f"{path.name} lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; it has "
+            f"{path.name} lacks the {'columns' if len(missing) > 1 else 'column'} {', '.join(missing)}; it has "
             f"{', '.join(names[:12])}; expected one answer per row, in {', '.join(REQUIRED)} "
             "(one row per person: --wide)"
         )
@@ -125,7 +104,7 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             raise UserError(f"{path.name} has the column {duplicates[0]!r} twice; expected each name once")
-        lines = enumerate(sheet.rows, start=2)
+        lines = zip(sheet.lines, sheet.rows, strict=True)
         table = [{"": f"row {line}"} | dict(zip(names, row, strict=True)) for line, row in lines]
         if others := [row[""] for row in table if not _is_answer(row)]:
             told = "%s: %d rows without item, question and score are left out as other trials, such as %s"
@@ -141,41 +120,25 @@ def _is_answer(row: _Row) -> bool:
     return any(row[name] for name in ("item", "question", "score"))
 
 
-def _known_name(name: str) -> str:
-    """A column's name; one that is known in any case, with spaces or dashes, as it is known."""
-    known = re.sub(r"[\s-]+", "_", name.lower())
-    return known if known in _KNOWN else name
-
-
 def _answers(
     rows: Sequence[_Row], semicolons: bool, source: str, study: Study | None, labels: Mapping[str, float]
 ) -> Iterable[Answer]:
     placed = "ours_is" in rows[0] or "method" in rows[0]
     if not placed and study is None:
         raise UserError(f"{source} does not say where ours was: give the design with --study, or add ours_is")
+    questions = () if study is None else study.plan.questions
+    by_question = {question.name: {**scale_words(question.labels, question.low), **labels} for question in questions}
+    words = [by_question.get(row["question"], labels) for row in rows]
     columns = {
         name: AnswerColumn([row.get(name, "") for row in rows], semicolons=semicolons)
         for name in ("score", "expected", "seconds")
     }
-    questions = () if study is None else study.plan.questions
-    words = {question.name: {**scale_words(question.labels, question.low), **labels} for question in questions}
-    known = [words.get(row["question"], labels) for row in rows]
-    values = {
-        name: [columns[name].score(row.get(name, ""), of) for row, of in zip(rows, known, strict=True)]
-        for name in ("score", "expected")
-    }
-    for name, found in values.items():
-        if None in found:
-            raise UserError(_unread(rows, name, found, source))
-    cells = [row["score"] for row, of in zip(rows, known, strict=True) if plain(row["score"]) not in of]
-    if beside := [cell for cell in cells if columns["score"].number(cell) is None]:
-        log.warning("%s: %d answers are read as the number in them, such as %r", source, len(beside), beside[0])
-    for row, score, expected in zip(rows, values["score"], values["expected"], strict=True):
+    scores, checks = (_scores(rows, name, columns[name], words, source) for name in ("score", "expected"))
+    for row, score, expected in zip(rows, scores, checks, strict=True):
         where = f"{source}, {row['']}"
         for name in ("participant", "item", "question"):
             if not row[name]:
                 raise UserError(f"{where}: {name} is empty; expected a name")
-        assert score is not None and expected is not None
         method = _choice(row, "method", ("ours", "theirs"), where, optional=True)
         if placed or study is None:
             side = _choice(row, "ours_is", ("A", "B"), where, optional=bool(method) or not math.isnan(expected))
@@ -189,20 +152,29 @@ def _answers(
         if seconds is None:
             raise UserError(f"{where}: seconds is {row['seconds'][:40]!r}; expected a number")
         named = (row["participant"], row["item"], row["question"])
-        yield Answer(*named, score, expected=expected, seconds=seconds, **about)
+        session = f"session {row['session']} of {source}" if row.get("session") else source
+        yield Answer(*named, score, expected=expected, seconds=seconds, source=session, **about)
 
 
-def _unread(rows: Sequence[_Row], name: str, values: Sequence[float | None], source: str) -> str:
-    """What is said of cells that have no score: the first one, all that were found, and what to type."""
-    strange = [row for row, value in zip(rows, values, strict=True) if value is None]
-    counts = Counter(row[name][:40] for row in strange)
-    found = ", ".join(f"{word!r} ({count})" for word, count in counts.most_common(12))
-    more = f" and {len(counts) - 12} others" if len(counts) > 12 else ""
-    return (
-        f"{source}, {strange[0]['']}: {name} is {strange[0][name][:40]!r}; expected a number, a word of the scale "
-        f"or an empty cell; without a score are {found}{more}: give the scale's words from its lowest to its highest "
-        "answer, --labels WORD WORD ..., or one by one, --label WORD=SCORE --label WORD=NA"
-    )
+def _scores(
+    rows: Sequence[_Row], name: str, column: AnswerColumn, words: Sequence[Mapping[str, float]], source: str
+) -> list[float]:
+    """The scores in a column, of each row by its words; cells that have none are refused with what to type."""
+    cells = [row.get(name, "") for row in rows]
+    values = [column.score(cell, known) for cell, known in zip(cells, words, strict=True)]
+    if strange := [index for index, value in enumerate(values) if value is None]:
+        counts = Counter(cells[index][:40] for index in strange)
+        found = ", ".join(f"{word!r} ({count})" for word, count in counts.most_common(12))
+        more = f" and {len(counts) - 12} others" if len(counts) > 12 else ""
+        raise UserError(
+            f"{source}, {rows[strange[0]]['']}: {name} is {cells[strange[0]][:40]!r}; expected a number, a word of the "
+            f"scale or an empty cell; without a score are {found}{more}: give the scale's words from its lowest to its "
+            "highest answer, --labels WORD WORD ..., or one by one, --label WORD=SCORE --label WORD=NA"
+        )
+    numbered = (cell for cell, known in zip(cells, words, strict=True) if plain(cell) not in known)
+    if beside := [cell for cell in numbered if column.number(cell) is None]:
+        log.warning("%s: %d answers are read as the number in them, such as %r", source, len(beside), beside[0])
+    return [value for value in values if value is not None]
 
 
 def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any]:
@@ -223,13 +195,13 @@ def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any
         raise UserError(f"{where}: {unknown('question', row['question'], questions)}")
     item = study.item(name)
     ours_is_a = name in participant.ours_is_a
-    of = f" (ours is {item.method})" * bool(item.method)
+    comparison = f"{item.baseline} (ours is {item.method})" if item.method else item.baseline
     return {
         "ours_is_a": ours_is_a,
         "method": ("ours" if (side == "A") == ours_is_a else "theirs") if side else "",
         "check": shown.kind if isinstance(shown, Check) else "",
         "of": item.id,
-        "comparison": item.baseline + of if len(study.baselines) > 1 else "",
+        "comparison": comparison if len(study.baselines) > 1 else "",
         "scene": item.scene,
         "style": item.style,
     }

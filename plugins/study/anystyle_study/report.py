@@ -31,7 +31,9 @@ def tests_table(question: QuestionAnalysis, confidence: float) -> Table:
         effect = f"{title_of(result.effect_name)} {result.effect:.2f}" if result.effect_name else "—"
         if not math.isnan(result.effect_interval[0]):
             effect += f" {bounds(result.effect_interval)}"
-        estimate = f"{result.estimate:.3f}" + f" {result.estimate_unit}" * (result.estimate_unit != "points")
+        estimate = f"{result.estimate:.3f}"
+        if result.estimate_unit != "points":
+            estimate += f" {result.estimate_unit}"
         # An interval of single answers would have no coverage.
         interval = bounds(result.interval) if result.generalizes_to else "—"
         pvalues = (p_text(value).removeprefix("= ") for value in (result.pvalue, named.pvalue_holm))
@@ -91,7 +93,10 @@ def html(analysis: Analysis, title: str = "User study", folder: Path | None = No
         colors=(figures.OURS, figures.NEUTRAL, figures.THEIRS),
         inflation=_inflation(questions),
         positions=_positions(questions),
-        tests=[(question, tests_table(question, level), _classes(question)) for question in questions],
+        tests=[
+            (question, tests_table(question, level), [_class(question, test) for test in _ordered(question)])
+            for question in questions
+        ],
         agreement=Table(("question", "alpha"), tuple(alphas)),
         study=study,
         galleries=[_gallery(question, study, folder) for question in questions] if study and folder else [],
@@ -106,12 +111,11 @@ def _ordered(question: QuestionAnalysis) -> list[NamedResult]:
     return sorted(question.tests, key=lambda named: -len(named.result.generalizes_to))
 
 
-def _classes(question: QuestionAnalysis) -> list[str]:
-    """A CSS class for each row of the table of tests."""
-    naive = ("naive", "")
-    return [
-        "primary" * (one == question.primary) or naive[bool(one.result.generalizes_to)] for one in _ordered(question)
-    ]
+def _class(question: QuestionAnalysis, test: NamedResult) -> str:
+    """The CSS class of a test's row."""
+    if test == question.primary:
+        return "primary"
+    return "" if test.result.generalizes_to else "naive"
 
 
 def _inflation(questions: Sequence[QuestionAnalysis]) -> Table:

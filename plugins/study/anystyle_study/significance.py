@@ -177,7 +177,8 @@ class SignFlip(Significance):
         return self.result(responses, statistic=mean, pvalue=pvalue, estimate=mean, interval=interval, method=method)
 
 
-_MAX_EXACT = 50  # observations
+_MAX_EXACT = 50  # observations without ties or zeros
+_MAX_PERMUTED = 13  # observations with ties or zeros
 
 
 @dataclass(kw_only=True)
@@ -188,8 +189,8 @@ class Wilcoxon(Significance):
 
     Args:
         zero_method: Neutral answers are dropped, ranked and then dropped, or split between the sides.
-        method: ``auto`` is exact up to 50 observations without ties or zeros, and otherwise ``approx``, the normal
-            approximation with tie correction and without continuity correction.
+        method: ``auto`` is exact up to 50 observations without ties or zeros and up to 13 with some, and otherwise
+            ``approx``, the normal approximation with tie correction and without continuity correction.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")
@@ -207,14 +208,17 @@ class Wilcoxon(Significance):
         total = ranked * (ranked + 1) / 2 - (zeros * (zeros + 1) / 2 if self.zero_method == "pratt" else 0)
         # One-sided, so that the statistic is the positive rank sum and z keeps its sign.
         normal: Any = stats.wilcoxon(values, zero_method=self.zero_method, alternative="less", method="asymptotic")
-        ties = len(np.unique(np.abs(values))) < ranked
-        exact = self.method == "auto" and not zeros and ranked <= _MAX_EXACT and not ties
-        pvalue = t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
-        if exact:
+        tied = zeros > 0 or len(np.unique(np.abs(values))) < ranked
+        if self.method == "auto" and not tied and ranked <= _MAX_EXACT:
             result: Any = stats.wilcoxon(values, alternative=self.alternative, method="exact")
-            pvalue = float(result.pvalue)
+            pvalue, how = float(result.pvalue), "exact distribution"
+        elif self.method == "auto" and tied and responses.count <= _MAX_PERMUTED:
+            pvalue, how = self._permuted(values), "all sign patterns"
+        else:
+            pvalue = t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
+            how = "normal approximation with tie correction"
         median, interval = pseudo_median(values, self.confidence, self.alternative)
-        how = "exact distribution" if exact else "normal approximation with tie correction"
+        flat = math.isnan(interval[0])
         return self.result(
             responses,
             statistic=float(normal.statistic),
@@ -224,8 +228,17 @@ class Wilcoxon(Significance):
             effect=(2 * float(normal.statistic) - total) / total,
             effect_name="rank_biserial",
             method=f"{name}, {how}, {ranked} ranked; estimate: Hodges-Lehmann pseudo-median",
-            note="ties leave the Hodges-Lehmann interval without any width: none is given" * math.isnan(interval[0]),
+            note="ties leave the Hodges-Lehmann interval without any width: none is given" if flat else "",
         )
+
+    def _permuted(self, values: Float[np.ndarray, " N"]) -> float:
+        """The p-value over all signs of the ranks; SciPy's ``PermutationMethod`` takes a thousand times as long."""
+        considered = values[values != 0] if self.zero_method == "wilcox" else values
+        ranks = stats.rankdata(np.abs(considered))[considered != 0]
+        observed = ranks[considered[considered != 0] > 0].sum()
+        sums = (np.arange(2 ** len(ranks))[:, None] >> np.arange(len(ranks)) & 1) @ ranks
+        below, above = float(np.mean(sums <= observed)), float(np.mean(sums >= observed))
+        return {"less": below, "greater": above, "two-sided": min(1.0, 2 * min(below, above))}[self.alternative]
 
 
 def pseudo_median(

@@ -29,7 +29,7 @@ def long_rows(sheet: Sheet, source: str, key: Path | None, items: Collection[str
     number, with ``ours_is`` or ``method`` and the like. Without the design's ``items``, only items that say where ours
     was are answers. ``source`` is the name of the file, for messages.
     """
-    names = [name.lower() if name.lower() in ("participant", "comment") else name for name in sheet.names]
+    names = [name.lower() if name.lower() in ("session", "comment") else name for name in sheet.names]
     facts: dict[str, dict[str, int]] = {}
     columns = _headings(names, items, facts) if key is None else _from_key(names, source, key)
     if not columns:
@@ -43,9 +43,9 @@ def long_rows(sheet: Sheet, source: str, key: Path | None, items: Collection[str
     used = {*columns, *(index for each in facts.values() for index in each.values())}
     fields = dict.fromkeys([name for about in (*columns.values(), *facts.values()) for name in about], "")
     rows: list[dict[str, str]] = []
-    for line, cells in enumerate(sheet.rows, start=2):
+    for line, cells in zip(sheet.lines, sheet.rows, strict=True):
         shared = {name: cells[index] for index, name in enumerate(names) if index not in used}
-        shared = {"participant": f"row {line}"} | shared
+        shared = {"participant": f"{source} row {line}"} | shared
         for index, about in columns.items():
             own = {name: cells[column] for name, column in facts.get(about["item"], {}).items()}
             where = {"": f"row {line}, column {names[index]!r}", "score": cells[index]}

@@ -75,7 +75,7 @@ def verdict(analysis: Analysis, question: QuestionAnalysis) -> str:
     margin = f"the margin of {equivalence.margin:.2g} points" if equivalence else ""
     shown = equivalence is not None and equivalence.shown
     if adjusted <= level and result.estimate != 0:
-        by = f", by less than {margin}" * shown
+        by = f", by less than {margin}" if shown else ""
         return f"{'Ours' if result.estimate < 0 else 'Theirs'} is preferred{by}, and this holds for {whom} {evidence}."
     if result.interval[0] > 0 or result.interval[1] < 0:
         return f"A preference is indicated for {whom}, but not confirmed over all questions {evidence}."
@@ -126,9 +126,9 @@ def registered(analysis: Analysis) -> list[str]:
         fast = f"in less than {rules.min_seconds:g} s"
         excluded.append(f"answer more than {percent(rules.fast_share)} of the sets {fast}")
     if rules.straight_lining:
-        excluded.append("give one answer throughout")
-    first = "Of several answers to one question the first counts."
-    changed = " These rules are not the design's." * (study is not None and rules != study.plan.rules)
+        excluded.append("give one answer throughout every question")
+    first = "Of several answers to one question the first that is not empty counts."
+    changed = " These rules are not the design's." if study is not None and rules != study.plan.rules else ""
     lines.append(f"Participants are excluded who {' or '.join(excluded)}. {first}{changed}")
     margin = "No equivalence margin was set."
     if settings.margin is not None:
@@ -146,10 +146,11 @@ def took_part(analysis: Analysis) -> str:
     checks = analysis.checks
     rules = [exclusion.rule for exclusion in checks.exclusions]
     why = "; ".join(f"{rules.count(rule)} for {rule}" for rule in dict.fromkeys(rules))
+    because = f" ({why})" if why else ""
     return (
         f"{checks.participants_read} participants gave {checks.answers_read} answers, {checks.attention_answers} of "
         f"them to attention checks. {len(rules) or 'None'} {'were' if len(rules) != 1 else 'was'} left out"
-        f"{f' ({why})' * bool(why)}; {checks.answers_used} answers of {checks.participants_read - len(rules)} are "
+        f"{because}; {checks.answers_used} answers of {checks.participants_read - len(rules)} are "
         f"analysed. {_missing(analysis).lstrip()}".rstrip()
     )
 
@@ -157,7 +158,7 @@ def took_part(analysis: Analysis) -> str:
 def _missing(analysis: Analysis) -> str:
     """Which answers are missing or outside of the scale, and who of the design gave none."""
     lacking, study = analysis.checks.missing, analysis.settings.study
-    text = "No answer is missing." * (study is not None)  # without a design, rows may be missing
+    text = "" if study is None else "No answer is missing."  # without a design, rows may be missing
     if lacking:
         totals: Counter[str] = sum(map(Counter, lacking.values()), Counter())
         people = "; ".join(f"{person}: {_counts(counts)}" for person, counts in lacking.items())

@@ -99,6 +99,9 @@ def test_power_as_table_and_data(study: PowerStudy):
         ({"effect": 0.0}, {}, "an effect of 0"),
         ({"item_sd": -1.0}, {}, "negative"),
         ({"participants": 0}, {}, "0 participants"),
+        ({"effect": 9.0}, {}, "effect of 9 points .* scale of 1 to 5: .* at most 2"),
+        ({"effect": -2.5}, {}, "effect of -2.5 points .* at most 2"),
+        ({"residual_sd": 0.0, "participant_sd": 0.0, **ALIKE}, {}, "answers do not vary"),
         ({"items": 20, "scenes": 4, "styles": 3}, {}, "make 12 sets"),
     ],
 )

@@ -35,6 +35,31 @@ def test_wilcoxon_equals_scipy_with_ties_and_zeros(unit, alternative, zero_metho
         assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10)
 
 
+@pytest.mark.parametrize("zero_method", ["wilcox", "pratt", "zsplit"])
+@pytest.mark.parametrize("alternative", ["less", "greater", "two-sided"])
+@pytest.mark.parametrize("n", [2, 5, 8, 13, 14, 20])
+def test_wilcoxon_permutes_few_answers_with_ties_or_zeros_as_scipy(n, alternative, zero_method):
+    random = np.random.default_rng(n)
+    for values in (random.integers(-2, 3, n), random.integers(1, 4, n) - 5.0, np.arange(n) - n + 1.0):
+        if not values.any():
+            continue
+        mine = Wilcoxon(alternative=alternative, zero_method=zero_method)(table(values[:, None]))
+        options = {"alternative": alternative, "zero_method": zero_method}
+        permuted = n <= 13 and (0 in values or len(np.unique(np.abs(values))) < n)
+        if permuted:
+            theirs = stats.wilcoxon(values, method=stats.PermutationMethod(), **options)
+        else:
+            theirs = stats.wilcoxon(values, correction=False, **options)
+        assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-9), values
+        assert ("all sign patterns" in mine.method) == permuted
+
+
+def test_five_people_cannot_show_more_than_their_sign_patterns():
+    rows = table(np.array([-1.0, -1.0, -2.0, -1.0, -1.5])[:, None])
+    assert Wilcoxon()(rows).pvalue == 2 / 2**5
+    assert Wilcoxon(alternative="less")(rows).pvalue == 1 / 2**5
+
+
 def test_holm_equals_its_definition():
     pvalues = np.sort(np.random.default_rng(0).random(9) ** 3)
     expected = [min(1.0, max((9 - j) * pvalues[j] for j in range(i + 1))) for i in range(9)]
@@ -135,3 +160,16 @@ def test_ordinal_likelihood_gradient_equals_differences(shape, neutral):
     moves = 1e-5 * np.eye(len(place))
     differences = [(model.loglikelihood(place + m)[0] - model.loglikelihood(place - m)[0]) / 2e-5 for m in moves]
     assert gradient == pytest.approx(differences, abs=2e-5)
+
+
+def test_the_crossed_mean_of_a_complete_table_claims_no_more_than_one_factor_alone():
+    """Negative components, as scenes and styles have in half of all tables without their variance, lower no error."""
+    for seed in range(20):
+        rows = replace(
+            answers(seed, people=24),
+            item_scenes=tuple(f"{i % 5}" for i in range(20)),
+            item_styles=tuple(f"{i // 5}" for i in range(20)),
+        )
+        crossed = CrossedT()(rows)
+        for unit in ("participant", "item"):
+            assert crossed.pvalue >= OneSampleT()(rows.at(unit)).pvalue * (1 - 1e-9), (seed, unit)

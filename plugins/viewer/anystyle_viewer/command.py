@@ -17,7 +17,7 @@ from anystyle.pipeline.inputs import SavedScene, inputs_of
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.read import read
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.registry.compose import only_options

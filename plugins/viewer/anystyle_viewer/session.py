@@ -18,7 +18,7 @@ from anystyle.pipeline.controls import Controls, applied, blended
 from anystyle.pipeline.inputs import inputs_of
 from anystyle.pipeline.masks import parsed
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
 from anystyle.pipeline.words import args_of
 from anystyle.types import Gaussians, Progress

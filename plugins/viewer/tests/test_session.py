@@ -13,7 +13,7 @@ from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.controls import blended, with_colors_of
-from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.saved import read_gaussians
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Progress

@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.launch import describe, job_folder, launch, returned
 from anystyle.cli.progress import progress_lines
 from anystyle.cli.run import run, words_of
+from anystyle.errors import UserError
 from anystyle.evaluation import run as evaluation
-from anystyle.evaluation.run import FOLDERS, completed, configured, trained_runs
+from anystyle.evaluation.layout import DEFAULTS
+from anystyle.evaluation.run import RUN_OR_IMAGES, Images, configured, trained_runs
 
 
 def parser() -> argparse.ArgumentParser:
@@ -25,21 +28,30 @@ def parser() -> argparse.ArgumentParser:
     )
     flags.add_argument("--content", metavar="DIR", help="photographs: SCENE/FRAME.png")
     flags.add_argument("--style", metavar="DIR", help="style images: STYLE.png")
-    flags.add_argument("--stylized", metavar="DIR", help="results: SCENE/STYLE/FRAME.png or SCENE/STYLE_FRAME.png")
+    flags.add_argument("--stylized", metavar="DIR", help="results of any method")
+    flags.add_argument(
+        "--layout",
+        metavar="PATTERN",
+        help="how results are named, such as '{scene}_{style}/*/{frame}', where * is any text "
+        f"(default: {', '.join(DEFAULTS)})",
+    )
     flags.add_argument("--depth", metavar="DIR", help="depth: SCENE/FRAME.npy, and SCENE/cameras.npz if known")
     flags.add_argument("--run", metavar="DIR", dest="trained", help="judge what a training run, or multirun, made")
     flags.add_argument("--out", default=None, help="where the results go (default: evaluation, or in the run)")
     return flags
 
 
-def job(config: DictConfig, out: str | None, folder: Path | None = None) -> Any:
-    """Judge a model, or that of a training in ``folder``; print the table, and return the values of ``objective``."""
-    flags: tuple[str, ...] = ()
-    if folder is None:
-        target = job_folder(out or "evaluation")
-    else:
+def job(config: DictConfig, images: Images | None, folder: Path | None, out: str | None) -> Any:
+    """Judge images, or the model of a training in ``folder``, or one that is configured.
+
+    Prints the table, and returns the values of ``objective``.
+    """
+    target, flags = job_folder(out or "evaluation"), list[str]()
+    if images is not None:
+        config, flags = images.configured(config), images.flags
+    if folder is not None:
         print(folder, file=sys.stderr)
-        target, flags = Path(out or folder / "evaluation"), ("--run", str(folder))
+        target, flags = Path(out or folder / "evaluation"), ["--run", str(folder)]
         config = configured(config, folder)
     found = evaluation.run(config, target, flags=flags, on_progress=progress_lines())
     print((target / "table.md").read_text(encoding="utf-8"), end="")
@@ -56,12 +68,16 @@ def main(words: Sequence[str] | None = None) -> None:
         arguments, rest = split(flags, words_of(words))
         if {"-m", "--multirun"} & {*rest}:
             rest = ["hydra.output_subdir=.hydra", *rest]
-        given = {name: getattr(arguments, name) for name in FOLDERS if getattr(arguments, name) is not None}
-        rest, out = completed(rest, given, arguments.trained), arguments.out
+        given = (getattr(arguments, name) for name in ("content", "style", "stylized", "depth", "layout"))
+        images, out = Images.of(*given), arguments.out
+        if images is not None:
+            rest = [*Images.WORDS, *rest]
+            if arguments.trained is not None:
+                raise UserError(RUN_OR_IMAGES)
         folders = [None] if arguments.trained is None else trained_runs(Path(arguments.trained))
         for folder in folders:
             one = str(Path(out, folder.name)) if out is not None and folder and len(folders) > 1 else out
-            launch("evaluate", lambda config, out=one, folder=folder: job(config, out, folder), rest, out=out)
+            launch("evaluate", partial(job, images=images, folder=folder, out=one), rest, out=out)
 
     run(command)
 

@@ -11,10 +11,9 @@ from collections.abc import Iterator, Sequence
 from anystyle import paths
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.run import run, words_of
-from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named, kinds
-from anystyle.registry.packages import presets
-from anystyle.registry.source_docs import peek
+from anystyle.registry.builtin import MANY
+from anystyle.registry.catalog import Catalog, Plugin, base_of, catalog, kinds
+from anystyle.registry.packages import first_line, presets
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -26,8 +25,8 @@ def main(words: Sequence[str] | None = None) -> None:
         return
     parser = new_parser(
         "plugins",
-        "Without arguments, or with list: every plugin by name. With a KIND: what each is, and its "
-        "options. With a NAME: one plugin in full; only this imports it.",
+        "Without arguments, or with list: every plugin by name. With a KIND: what each is. With a NAME: one plugin "
+        "in full, with its options; only this imports it.",
         epilog="anystyle plugins check KIND NAME checks a plugin; anystyle plugins new KIND NAME writes a new one.",
     )
     parser.add_argument("kind", nargs="?", help="one of: " + ", ".join(kinds()))
@@ -47,29 +46,28 @@ def overview(known: Catalog) -> Iterator[str]:
     column = max(map(len, kinds())) + 3
     for kind in kinds():
         names = ", ".join(known.names(kind)) or "-"
-        title = f"{kind}{'*' if kind in KINDS and kind_named(kind).many else ''}"
+        title = f"{kind}*" if kind in MANY else kind
         yield from _hanging(f"{title:<{column}}", names)
     yield ""
     yield "* several at once, as in loss=[content,style]. More: anystyle plugins KIND [NAME]"
 
 
 def of_kind(known: Catalog, kind: str) -> Iterator[str]:
-    """Every plugin of a kind: name, description, origin, options as its source writes them."""
-    kind_named(kind)
+    """Every plugin of a kind: name, description, origin."""
     names = known.names(kind)
     column = max(map(len, names), default=0) + 2
     if not names:
         yield f"no {kind} is declared"
     for name in names:
         for plugin in known.declarations(kind, name):
-            summary = peek(plugin)
             origin = "" if plugin.origin == "anystyle" else f"  [{plugin.origin}]"
-            yield from _hanging(f"{name:<{column}}", summary.description + origin)
-            for option in summary.options:
-                yield from _hanging(" " * column + "  ", option, hang=4)
+            yield from _hanging(f"{name:<{column}}", first_line(plugin) + origin)
         if len(known.declarations(kind, name)) > 1:
             yield " " * column + "(declared more than once: it cannot be used until one is renamed)"
     yield from _presets(kind, names)
+    if names:
+        yield ""
+        yield f"Options: anystyle plugins {kind} {names[0]}"
 
 
 def _presets(kind: str, names: Sequence[str]) -> Iterator[str]:
@@ -99,7 +97,7 @@ def in_full(plugin: Plugin) -> Iterator[str]:
         return
     yield "Options:"
     described = arguments(loaded)
-    prefix = f"{plugin.kind}.{plugin.name}" if kind_named(plugin.kind).many else plugin.kind
+    prefix = f"{plugin.kind}.{plugin.name}" if base_of(plugin.kind).many else plugin.kind
     for option in known:
         default = "  (must be given)" if option.required else f" = {option.default!r}"
         yield f"  {prefix}.{option.name}: {shown(option.hint)}{default}"
@@ -118,8 +116,8 @@ def arguments(function: object) -> dict[str, str]:
     return described
 
 
-def _hanging(lead: str, text: str, hang: int = 0) -> list[str]:
-    indent = " " * (len(lead) + hang)
+def _hanging(lead: str, text: str) -> list[str]:
+    indent = " " * len(lead)
     width = max(60, shutil.get_terminal_size((100, 24)).columns) if sys.stdout.isatty() else 100
     return textwrap.wrap(
         text, width, initial_indent=lead, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False

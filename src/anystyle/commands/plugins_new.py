@@ -15,9 +15,8 @@ from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import VARIABLE, catalog, kind_named, kinds
-from anystyle.registry.packages import presets
-from anystyle.registry.source_docs import source_file
+from anystyle.registry.catalog import VARIABLE, base_of, catalog, kinds
+from anystyle.registry.packages import presets, source_file
 
 TEMPLATES = paths.PACKAGE / "commands" / "templates"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
@@ -25,15 +24,15 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``anystyle plugins new``."""
-    words = new_parser(
+    parser = new_parser(
         "plugins new",
         "Write a folder with a small plugin that keeps its contract: a class, the line that declares it, a test "
         "and a README.",
     )
-    words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
-    words.add_argument("name", metavar="NAME", help="its name: a-z, 0-9 and '_'")
-    words.add_argument("--into", metavar="DIR", type=Path, default=Path("plugins"), help="where (default: plugins)")
-    arguments = parse(words, words_of(argv))
+    parser.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
+    parser.add_argument("name", metavar="NAME", help="its name: a-z, 0-9 and '_'")
+    parser.add_argument("--into", metavar="DIR", type=Path, default=Path("plugins"), help="where (default: plugins)")
+    arguments = parse(parser, words_of(argv))
     folder = write(arguments.kind, arguments.name, arguments.into)
     module = f"anystyle_{arguments.name}"
     print(f"wrote {folder}: {module}.py, pyproject.toml, test_{module}.py, README.md")
@@ -46,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def write(kind: str, name: str, into: Path) -> Path:
     """Write the folder of a new plugin, named after it, below ``into``, and return it."""
-    kind_named(kind)
+    base_of(kind)
     module = f"anystyle_{name}"
     _refuse(kind, name, module)
     folder = into / name
@@ -117,7 +116,7 @@ def _use(kind: str, name: str) -> str:
         return f"Run it with `anystyle {name}`."
     if kind == "format":
         return f"Write it with `anystyle export SCENE --to {name} --out FILE`."
-    choice, prefix = (f"[{name}]", f"{kind}.{name}") if kind_named(kind).many else (name, kind)
+    choice, prefix = (f"[{name}]", f"{kind}.{name}") if base_of(kind).many else (name, kind)
     return f"Choose it with `{kind}={choice}`, and set an option with `{prefix}.OPTION=VALUE`."
 
 

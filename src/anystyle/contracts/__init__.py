@@ -16,6 +16,6 @@ with the options of :meth:`Pluggable.example <anystyle.registry.pluggable.Plugga
 overridden. Names are imported when they are first asked for: a command needs no torch, and only trainings Lightning.
 """
 
-import lazy_loader
+from anystyle import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy.stub(__name__, __file__)

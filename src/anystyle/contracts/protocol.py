@@ -89,17 +89,21 @@ class Protocol(Pluggable, ABC):
 
     The constructor names the parts it needs among ``stylizer`` (in ``eval``, without gradients), ``method`` (how its
     scenes take styles), ``metrics`` (by name), ``scenes`` and ``styles``, which the framework passes, and further
-    options. A source that is not configured is ``None``.
+    options. A source that is not configured is ``None``. Where the constructor has ``inputs=None``, it is given what
+    :meth:`check` returned.
     """
 
-    runtime = ("stylizer", "method", "metrics", "scenes", "styles")
+    runtime = ("stylizer", "method", "metrics", "scenes", "styles", "inputs")
 
     @classmethod
-    def check(cls, **given: Any) -> None:
-        """Raise a :class:`UserError` if inputs are missing; called before any network is built.
+    def check(cls, **given: Any) -> Any:
+        """Find the inputs, before any network is built.
 
         Args:
-            given: The constructor's arguments without ``stylizer``, ``method`` and ``metrics``.
+            given: The constructor's options, ``scenes`` and ``styles``.
+
+        Raises:
+            UserError: Inputs are missing.
         """
 
     @abstractmethod

@@ -4,7 +4,7 @@ import glob
 import logging
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import chain
 from math import sqrt
@@ -31,8 +31,19 @@ MAX_ASPECT = 3.0
 SHOWN = 0.75
 """A smaller share of a photograph in its view is told of."""
 
-OTHER = frozenset({"depth", "depths", "mask", "masks", "normals", "thumbnails"})
+OTHER = frozenset({"@eadir", "__macosx", "depth", "depths", "mask", "masks", "normals", "thumbnails"})
 """Folders beside photographs whose images are not photographs."""
+
+MAPS = frozenset(
+    {"depth", "depths", "disp", "disparity", "mask", "masks", "normal", "normals", "seg", "segmentation", "semantic"}
+)
+"""Words in the name of an image that is a map of the photograph with the rest of the name."""
+
+COLOURS = frozenset(["color", "colour", "image", "img", "photo", "rgb"])
+"""Words by which the photograph is told from its maps."""
+
+RAW = frozenset([".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw", ".x3f"])
+"""Suffixes of photographs that are not developed."""
 
 PIXELS = 160_000_000
 """Of all originals together: half a gigabyte, held twice while cameras are sought."""
@@ -166,8 +177,34 @@ def covering(name: str, source: tuple[int, int], size: tuple[int, int], *, whole
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The image files of a folder, in natural order of their names."""
-    files = (path for path in folder.iterdir() if path.suffix.lower() in images.SUFFIXES and path.is_file())
+    """The image files of a folder, in natural order of their names; without hidden ones and :func:`map_files`."""
+    files = _visible(folder, images.SUFFIXES)
+    maps = set(map_files(files))
+    return [file for file in files if file not in maps]
+
+
+def map_files(files: Sequence[Path]) -> list[Path]:
+    """The depth, normal and mask images among those of a folder: named as a photograph there, and by one of MAPS."""
+
+    def split(file: Path) -> tuple[str, ...]:
+        return tuple(word for word in re.split(r"[\W_]+", file.stem.lower()) if word not in COLOURS)
+
+    photographs = {words for words in map(split, files) if not MAPS.intersection(words)}
+
+    def is_map(words: tuple[str, ...]) -> bool:
+        place = next((index for index, word in enumerate(words) if word in MAPS), None)
+        if place is None:
+            return False
+        # Blender numbers what it renders once more: r_0_depth_0001.png beside r_0.png.
+        rests = {words[:place] + words[place + 1 :], words[:place]} - {()}
+        return not photographs.isdisjoint(rests)
+
+    return [file for file in files if is_map(split(file))]
+
+
+def _visible(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """Files of a folder by their suffixes; ``._NAME`` of a Mac and other hidden ones are none."""
+    files = [path for path in folder.glob("[!.]*") if path.suffix.lower() in suffixes and path.is_file()]
     return sorted(files, key=lambda path: natural(path.name))
 
 
@@ -228,10 +265,7 @@ def files_of(item: Path) -> list[Path]:
         places = [reader.photographs(path) for reader, path in found if path is not None]
         direct = (image_files(folder) for folder in (*places, item, item / "images") if folder and folder.is_dir())
         nested = (nested_image_files(folder) for folder in (item / "images", item))
-        inside = next(filter(None, chain(direct, nested)), [])
-        if not inside:
-            raise UserError(f"there are no images in the folder {item}")
-        return inside
+        return next(filter(None, chain(direct, nested)), []) or _film_of(item)
     if item.is_file():
         return [item]
     found = map(Path, glob.glob(str(item)))  # noqa: PTH207  (a pattern may be absolute)
@@ -239,6 +273,27 @@ def files_of(item: Path) -> list[Path]:
     if not matches:
         raise UserError(f"there is no folder, image or video {item}")
     return sorted(matches, key=lambda path: natural(str(path)))
+
+
+def _film_of(folder: Path) -> list[Path]:
+    """The film of a folder without images, or what to do about what is there."""
+    films, raw = _visible(folder, video.SUFFIXES), _visible(folder, RAW)
+    if len(films) == 1:
+        return films
+    if films:
+        raise UserError(f"there are {len(films)} films in the folder {folder}; name one: {images.listing(films)}")
+    if raw:
+        raise UserError(
+            f"the {len(raw)} photographs in the folder {folder} are not developed ({_kinds(raw)}); {_DEVELOP}"
+        )
+    raise UserError(f"there are no images in the folder {folder}")
+
+
+_DEVELOP = "save them as JPEG or TIFF with the program of the camera"
+
+
+def _kinds(files: Sequence[Path]) -> str:
+    return ", ".join(sorted({file.suffix[1:].upper() for file in files}))
 
 
 class _Shot(NamedTuple):
@@ -257,7 +312,10 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
     if len(paths) < len(found):
         _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))
     for item in filter(Path.is_dir, map(resolved, inputs)):
-        _tell_folders(item, list(dict.fromkeys(path.parent for path in found if item in path.parents)))
+        folders = list(dict.fromkeys(path.parent for path in found if item in path.parents))
+        _tell_folders(item, folders)
+        for folder in folders:
+            _tell_left_out(folder)
     shots: list[_Shot] = []
     problems: list[str] = []
     frames_each = max(1, max_views // max(1, sum(path.suffix.lower() in video.SUFFIXES for path in paths)))
@@ -280,6 +338,24 @@ def _tell_folders(item: Path, folders: Sequence[Path]) -> None:
     for folder in folders if len(folders) == 1 else ():
         if left := [each.name for each in folders_of_photographs(folder) if image_files(each)]:
             _log.warning("%s has photographs of its own; those in %s are left out", folder, images.listing(left))
+
+
+def _tell_left_out(folder: Path) -> None:
+    """Say which files beside photographs are not taken for photographs."""
+    files = _visible(folder, images.SUFFIXES)
+    if maps := map_files(files):
+        _log.warning(
+            "%d of %d images in %s are named as depth, normals or masks of the others, and are left out: %s",
+            len(maps),
+            len(files),
+            folder,
+            images.listing([file.name for file in maps], most=4),
+        )
+    developed = {file.stem for file in files}
+    if raw := [file for file in _visible(folder, RAW) if file.stem not in developed]:
+        _log.warning(
+            "%d photographs in %s are not developed (%s) and are left out; %s", len(raw), folder, _kinds(raw), _DEVELOP
+        )
 
 
 def _each(shots: Sequence[_Shot], problems: list[str], read: Callable[[str, _Shot], _Read]) -> list[_Read]:

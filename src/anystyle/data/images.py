@@ -4,7 +4,6 @@ import io
 import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError, one_line
 from anystyle.examples import resolved
-from anystyle.io.images import Picture, opened, require_pixels, rounded_to_8_bits
+from anystyle.io.images import Picture, formats, opened, require_pixels, rounded_to_8_bits, stored_size
 
 logger = logging.getLogger(__name__)
 
@@ -29,7 +28,7 @@ SUFFIXES = frozenset(
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
     """Width and height of the upright image, from its header only; messages call bytes by ``name``."""
     with opened(source, name) as image:
-        width, height = image.size
+        width, height = stored_size(image)
         transposed = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
         return (height, width) if transposed else (width, height)
 
@@ -157,12 +156,17 @@ def _opaque(image: Image.Image) -> Image.Image:
 
 
 def readable(paths: Sequence[Path]) -> list[Path]:
-    """The files whose header is an image's; others are logged."""
+    """The files whose header is an image's; others are logged, each with its reason.
+
+    Raises:
+        OSError: A file cannot be read at all, which is not the fault of its content.
+    """
+    formats()  # before threads: decoders register themselves at the first picture
     with ThreadPoolExecutor(8) as pool:
-        fine = dict(zip(paths, pool.map(_opens, paths), strict=True))
-    if bad := [path for path in paths if not fine[path]]:
+        reasons = list(pool.map(_why_unreadable, paths))
+    if bad := [reason for reason in reasons if reason is not None]:
         logger.warning("%d of %d pictures cannot be read and are left out: %s", len(bad), len(paths), listing(bad))
-    return [path for path in paths if fine[path]]
+    return [path for path, reason in zip(paths, reasons, strict=True) if reason is None]
 
 
 def listing(items: Sequence[object], most: int = 10) -> str:
@@ -171,10 +175,12 @@ def listing(items: Sequence[object], most: int = 10) -> str:
     return shown + (f" and {len(items) - most} more" if len(items) > most else "")
 
 
-def _opens(path: Path) -> bool:
-    with suppress(ValueError, OSError):
-        return bool(image_size(path))
-    return False
+def _why_unreadable(path: Path) -> str | None:
+    try:
+        image_size(path)
+    except UserError as error:
+        return str(error)
+    return None
 
 
 def read_square(source: Picture, size: int, position: float = 0.5, name: str = "") -> Float[Tensor, "1 3 H W"]:

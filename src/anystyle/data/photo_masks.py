@@ -81,12 +81,12 @@ def with_masks(originals: Sequence[Original], masks: Mapping[Path, Path]) -> lis
 def masked_views(
     views: Views, sources: Sequence[SourceImage], masks: Mapping[Path, Path], *, empty: bool
 ) -> tuple[Views, dict[str, int | float]]:
-    """Views of one scene with their ``alpha`` and where they are ``counted``, and what a report says of both.
+    """Views of one scene with their ``alpha`` and which of their pixels are ``valid``, and what a report says of both.
 
     Where a mask of :func:`find_masks` is black, nothing is there if ``empty``; otherwise it is unknown what is there,
     as it is beside a photograph that does not fill its view.
     """
-    alpha, counted = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W
+    alpha, valid = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W
     num_masks = 0
     for view, source in enumerate(sources):
         transparency = None if source.path is None else open_alpha(source.path, longest=2 * max(source.view_size))
@@ -94,28 +94,28 @@ def masked_views(
         if transparency is not None:
             alpha[view] = _of_view(transparency, source)
         if mask is not None:
-            (alpha if empty else counted)[view].mul_(_of_view(mask, source))
+            (alpha if empty else valid)[view].mul_(_of_view(mask, source))
         num_masks += transparency is not None or mask is not None
         left, top, right, bottom = source.inside
-        outside = torch.ones_like(counted[view], dtype=torch.bool)
+        outside = torch.ones_like(valid[view], dtype=torch.bool)
         outside[top:bottom, left:right] = False
-        counted[view].masked_fill_(outside, 0)
-    counted = counted > WHITE
-    nothing = (alpha * counted).flatten(1).amax(1) <= 1 - WHITE
+        valid[view].masked_fill_(outside, 0)
+    valid = valid > WHITE
+    nothing = (alpha * valid).flatten(1).amax(1) <= 1 - WHITE
     if nothing.any():
         # An object that lies outside of the picture, or a mask that failed: it is not taken for the former.
         names = [source.name for source, none in zip(sources, nothing.tolist(), strict=True) if none]
         _log.warning("nothing is left of %d photographs, and they are ignored: %s", len(names), listing(names))
-        alpha[nothing], counted[nothing] = 1.0, False
+        alpha[nothing], valid[nothing] = 1.0, False
     if not num_masks:
-        return replace(views, counted=None if counted.all() else counted[None]), {}
-    transparent, ignored = float((1 - alpha).mean()), float((~counted).double().mean())
+        return replace(views, valid=None if valid.all() else valid[None]), {}
+    transparent, ignored = float((1 - alpha).mean()), float((~valid).double().mean())
     if masks and (left := (1 - transparent) * (1 - ignored)) < FEW:
         remedy = "white counts; invert them if black is what is to stay"
         _log.warning("masks leave %.0f%% of the pixels: %s", 100 * left, remedy)
     report = {"photographs": num_masks, "transparent": round(transparent, 4), "ignored": round(ignored, 4)}
-    alpha, counted = alpha[None] if transparent else None, counted[None] if ignored else None
-    return replace(views, alpha=alpha, counted=counted), report
+    alpha, valid = alpha[None] if transparent else None, valid[None] if ignored else None
+    return replace(views, alpha=alpha, valid=valid), report
 
 
 def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:

@@ -94,8 +94,8 @@ def _read_cameras(file: Path, cell: StylizedImages, images: Float[Tensor, "1 V 3
     if shapes != ((len(names), 4, 4), (len(names), 3, 3), (2,)) or not (arrays["size"] >= 1).all():
         raise UserError(f"{file} is not a {_CAMERAS}")
     named, indices = Names(names), list[int]()
-    for frame, photograph in zip(cell.frames, cell.content, strict=True):
-        found = named.find(frame) or named.find(photograph.stem)
+    for frame in cell.frames:
+        found = named.find(frame)
         if len(found) != 1:
             raise UserError(f"{file} does not hold the cameras of {cell.scene}: {frame!r} is not in it")
         indices.append(names.index(found[0]))

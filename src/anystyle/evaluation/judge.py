@@ -66,9 +66,9 @@ def judge_pairing(
             on_progress(Progress.count(stage, next(steps), total))
             yield reader(cell)
 
-    notes = [*pairing.notes, *filter(None, [pairing.lacking()])]
-    for note in notes:
-        log.warning("%s", note)
+    lacking = pairing.lacking()
+    if lacking:
+        log.warning("%s", lacking)
     by_scene: dict[str, list[StylizedImages]] = {}
     for cell in pairing.cells:
         by_scene.setdefault(cell.scene, []).append(cell)
@@ -84,7 +84,8 @@ def judge_pairing(
     ordered = sorted(rows.values(), key=lambda row: [natural(row.scene), natural(row.style)])
     gaps = ({"scene": row.scene, "style": row.style, "n": row.n, "missing": row.missing} for row in ordered)
     return replace(evaluation, rows=tuple(ordered)).with_facts(
-        missing=[gap for gap in gaps if gap["missing"]], warnings=[*notes, *evaluation.provenance["warnings"]]
+        missing=[gap for gap in gaps if gap["missing"]],
+        warnings=[*([lacking] if lacking else []), *evaluation.provenance["warnings"]],
     )
 
 

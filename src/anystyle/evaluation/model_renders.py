@@ -83,7 +83,9 @@ class ModelRenders(Protocol):
         self._render(images, on_progress)
         folders = (images / name for name in ("content", "style", "stylized", "depth"))
         # The folder may hold a larger evaluation.
-        pairing = pair(*folders, missing="allow").chosen(self.planned_scenes, self.planned_styles)
+        pairing = pair(*folders, layout="{scene}/{style}_{frame}", missing="allow").chosen(
+            self.planned_scenes, self.planned_styles
+        )
         pairing.require()
         evaluation = judge_pairing(self.metrics, pairing, on_progress)
         files = [[seconds_file(images / "stylized" / scene, style) for style in self.planned_styles]
@@ -116,7 +118,8 @@ class ModelRenders(Protocol):
             missing: list[str] = []
             for name in self.planned_styles:
                 files = seconds_file(folder, name), *(folder / f"{name}_{frame}{self.suffix}" for frame in frames)
-                missing += [name] * (not whole or not all(file.is_file() for file in files))
+                if not whole or not all(file.is_file() for file in files):
+                    missing.append(name)
             done += len(self.planned_styles) - len(missing)
             if not missing:
                 continue

@@ -5,8 +5,9 @@ import logging
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -24,17 +25,61 @@ from anystyle.paths import expanded, natural
 from anystyle.ranges import checked_seed
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import compose, override
+from anystyle.registry.compose import compose
 from anystyle.registry.jobs import command_line
-from anystyle.registry.schema import node, runtime_arguments
+from anystyle.registry.schema import node, plain, runtime_arguments
 from anystyle.types import OnProgress, no_progress
 
 BRANCH = "branch.safetensors"
-FOLDERS = ("content", "style", "stylized", "depth")
-MODEL = ("subject", "model", "backbone", "placement", "injector", "renderer", "method", "loss", "branch", "precision")
+RUN_OR_IMAGES = "--run judges a model, and --stylized judges images; give one of them"
 STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
 """Parts of a configuration on which the images of a model depend."""
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Images:
+    """Any method's images in folders, as :func:`anystyle.evaluation.pairing.pair` reads them."""
+
+    content: Path
+    style: Path
+    stylized: Path
+    depth: Path | None = None
+    layout: str | None = None
+
+    WORDS: ClassVar = ("subject=images", "protocol=folders")
+    """The overrides with which a configuration is composed that :meth:`configured` completes."""
+
+    @classmethod
+    def of(
+        cls,
+        content: str | Path | None,
+        style: str | Path | None,
+        stylized: str | Path | None,
+        depth: str | Path | None,
+        layout: str | None,
+    ) -> "Images | None":
+        """The images that are given; ``None`` where none are, and a UserError where a folder is missing."""
+        folders = {"content": content, "style": style, "stylized": stylized}
+        missing = [f"--{name}" for name, folder in folders.items() if folder is None]
+        if content is None or style is None or stylized is None:
+            if len(missing) == len(folders) and depth is None and layout is None:
+                return None
+            said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+            raise UserError(f"{said}; folders of images are judged with --content DIR --style DIR --stylized DIR")
+        known = None if depth is None else expanded(depth)
+        return cls(expanded(content), expanded(style), expanded(stylized), known, layout)
+
+    def configured(self, config: DictConfig) -> DictConfig:
+        """A configuration with these images."""
+        merged = config.copy()
+        merged.protocol.update({name: value and plain(str(value)) for name, value in asdict(self).items()})
+        return merged
+
+    @property
+    def flags(self) -> list[str]:
+        """The flags of the command that give them."""
+        return [word for name, value in asdict(self).items() if value is not None for word in (f"--{name}", str(value))]
 
 
 def evaluate(
@@ -44,6 +89,7 @@ def evaluate(
     style: str | Path | None = None,
     stylized: str | Path | None = None,
     depth: str | Path | None = None,
+    layout: str | None = None,
     trained: str | Path | None = None,
     out: str | Path | None = None,
     on_progress: OnProgress = no_progress,
@@ -59,48 +105,28 @@ def evaluate(
         overrides: In Hydra's grammar, such as ``metric=[psnr,lpips]``.
         content: A folder of photographs ``SCENE/FRAME.png``; with it go ``style`` and ``stylized``.
         style: A folder of style images ``STYLE.png``.
-        stylized: A folder of results ``SCENE/STYLE/FRAME.png`` or ``SCENE/STYLE_FRAME.png``.
+        stylized: A folder of results.
         depth: A folder of depth maps ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` where cameras are known.
+        layout: How results are named, such as ``{scene}_{style}/*/{frame}``; by default ``{scene}/{style}/{frame}``,
+            ``{scene}/{style}_{frame}`` or ``{style}/{frame}``.
         trained: The folder of a training, whose model is judged.
         out: A folder for tables, plots and images; an evaluation in it is resumed. By default ``evaluation``, in
             ``trained`` if that is given.
         on_progress: Called for every step that takes a second or more.
     """
-    given = zip(FOLDERS, (content, style, stylized, depth), strict=True)
-    folders = {name: folder for name, folder in given if folder is not None}
-    words = completed(overrides, folders, trained)
-    runs = [] if trained is None else trained_runs(Path(trained))
-    if len(runs) > 1:
-        raise UserError(f"{trained} holds {len(runs)} trainings; name one of them, such as {runs[0]}")
-    config = compose("evaluate", words)
-    if runs:
-        config, out = configured(config, runs[0]), out or runs[0] / "evaluation"
-    return run(config, Path(out or "evaluation"), on_progress=on_progress)
-
-
-def completed(
-    overrides: Sequence[str], folders: Mapping[str, str | Path], trained: str | Path | None = None
-) -> list[str]:
-    """Overrides with those that folders of images, or a protocol that takes no stylizer, stand for."""
-    # The protocol's option, named without it.
-    words = [f"protocol.{word}" if word.startswith("missing=") else word for word in overrides]
-    missing = [f"--{name}" for name in FOLDERS[:3] if name not in folders] if folders else []
-    if missing:
-        said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
-        raise UserError(f"{said}; folders of images are judged with --content DIR --style DIR --stylized DIR")
-    if folders and trained is not None:
-        raise UserError("--run judges a model, and --stylized judges images; give one of them")
-    if folders:
-        named = [override(f"protocol.{name}", str(expanded(folder))) for name, folder in folders.items()]
-        words = ["protocol=folders", *named, *words]
-    chosen = {key: value for key, _, value in (word.partition("=") for word in words)}
-    name = chosen.get("protocol", "")
-    # Presets of protocols are the paper's, which judge a model.
-    known = trained is None and name in catalog().names("protocol")
-    if known and not any(key.partition(".")[0] in MODEL for key in chosen):
-        subject = [] if "stylizer" in runtime_arguments(catalog().find("protocol", name)) else ["subject=images"]
-        words = [*subject, *words]
-    return words
+    images = Images.of(content, style, stylized, depth, layout)
+    if images is None:
+        config = compose("evaluate", overrides)
+    else:
+        config = images.configured(compose("evaluate", [*Images.WORDS, *overrides]))
+    if trained is None:
+        return run(config, Path(out or "evaluation"), on_progress=on_progress)
+    if images is not None:
+        raise UserError(RUN_OR_IMAGES)
+    folder, *more = trained_runs(Path(trained))
+    if more:
+        raise UserError(f"{trained} holds {1 + len(more)} trainings; name one of them, such as {folder}")
+    return run(configured(config, folder), Path(out or folder / "evaluation"), on_progress=on_progress)
 
 
 def run(
@@ -112,12 +138,15 @@ def run(
     """
     start = time.perf_counter()
     torch.manual_seed(checked_seed(config.seed))
+    if config.get("missing") is not None:
+        config = config.copy()
+        config.protocol.missing = config.missing
     plugin, options = plugin_of(Protocol, config.protocol)
     named = runtime_arguments(plugin)
     sources = make_sources(config, named)
-    plugin.load().check(**options, **sources)
+    inputs = plugin.load().check(**options, **sources)
     parts, weights = make_parts(config, named)
-    protocol = build(Protocol, config.protocol, **parts, **sources)
+    protocol = build(Protocol, config.protocol, **parts, **sources, inputs=inputs)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named):
         evaluation = protocol.run(out, on_progress)
@@ -225,7 +254,7 @@ def _style_encoder(config: DictConfig, metric: str) -> StyleEncoder:
     from anystyle.pipeline.load import weights_file
 
     if config.get("style_encoder") is None:
-        remedy = "add style_encoder=NAME (`anystyle plugins style_encoder` lists them), or a model=NAME with one"
+        remedy = "add style_encoder=NAME (`anystyle plugins style_encoder` lists them), or subject=model model=NAME"
         raise UserError(f"metric={metric} needs a style encoder; {remedy}")
     encoder = build(StyleEncoder, config.style_encoder)
     if config.weights.style_encoder is not None:

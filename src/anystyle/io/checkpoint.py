@@ -79,9 +79,13 @@ def read_header(path: str | Path) -> Header:
         # Configurations are resolved before they are written; an interpolation would be resolved on this machine.
         raise UserError(f"the header of {path} holds an interpolation; a file's configuration must be resolved")
     source = f"the header of {path}"
-    given = {name: text for name, text in metadata.items() if name in Header.__annotations__}
-    plain = {n: t if n == "part" else parse_json(t, Any, source=f"{n} in {source}") for n, t in given.items()}
-    return fit(plain, Header, source=source, what="header of weights")
+    fields: dict[str, Any] = {}
+    for name, text in metadata.items():
+        if name == "part":
+            fields[name] = text
+        elif name in Header.__annotations__:
+            fields[name] = parse_json(text, Any, source=f"{name} in {source}")
+    return fit(fields, Header, source=source, what="header of weights")
 
 
 def has_header(path: str | Path) -> bool:

@@ -5,6 +5,7 @@ expected. Only regular files of bounded size, depth and number of values are rea
 """
 
 import math
+import os
 import stat
 import tomllib
 from collections.abc import Callable, Mapping
@@ -47,6 +48,9 @@ MAX_DEPTH = 48
 MAX_PARTS, MAX_YAML_PARTS = 2_000_000, 100_000
 
 
+_POINTER = b"version https://git-lfs"
+
+
 def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file") -> Path:
     """The path, if it is a regular file of at most ``most`` bytes: no folder, pipe, device or circular link."""
     path = Path(path)
@@ -60,6 +64,8 @@ def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file
         raise UserError(f"{path} is not a regular file; a {what} is expected")
     if most is not None and state.st_size > most:
         raise UserError(f"{path} has {state.st_size:,} bytes; a {what} of at most {most:,} is expected")
+    if state.st_size < 1024 and os.access(path, os.R_OK) and path.read_bytes().startswith(_POINTER):
+        raise UserError(f"{path} is a Git LFS pointer and not the {what} itself; fetch it with git lfs pull")
     return path
 
 

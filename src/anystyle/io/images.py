@@ -13,6 +13,7 @@ import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from anystyle.errors import UserError, one_line
+from anystyle.io.documents import regular
 from anystyle.io.limits import require
 
 MAX_PIXELS = 178_000_000
@@ -37,6 +38,8 @@ def formats() -> tuple[str, ...]:
     """The formats that are decoded: of all that Pillow has, the decoder of EPS would start Ghostscript on a file."""
     check_pillow()
     Image.init()
+    # Once and for all threads: `catch_warnings` around each file would leave the filters of one thread to the others.
+    warnings.filterwarnings("ignore", module=r"PIL\.")
     with suppress(ImportError):
         from pillow_heif import register_heif_opener
 
@@ -49,22 +52,21 @@ def formats() -> tuple[str, ...]:
 def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
     """Open an image and check its header; errors of decoders become a UserError that names the file."""
     what = name or str(source)
-    if isinstance(source, Path) and not source.is_file():
-        raise UserError(f"there is no image {source}")
+    if isinstance(source, Path):
+        regular(source, most=None, what="image")
+    decoded = formats()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=formats()) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise UserError(_too_large(image))
-                yield image
+        with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=decoded) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise UserError(_too_large(image))
+            yield image
     except UserError as error:
         raise UserError(f"{what}: {error}") from None
     except Image.DecompressionBombError:
         raise UserError(f"{what} has too many pixels; at most {MAX_DECODED:,} are decoded") from None
     except UnidentifiedImageError:
         suffix, hint = Path(what).suffix.lower(), ""
-        if suffix in (".heic", ".heif") and "HEIF" not in formats():
+        if suffix in (".heic", ".heif") and "HEIF" not in decoded:
             hint = '; HEIC photographs need: pip install "anystyle[heic]"'
         elif suffix in (".tif", ".tiff"):
             hint = "; TIFF files of floating-point colours are not read, so save it with 8 or 16 bits"
@@ -73,6 +75,12 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):
             raise
         raise UserError(f"{what} is a damaged image ({one_line(error)[:200] or type(error).__name__})") from None
+
+
+def stored_size(image: Image.Image) -> tuple[int, int]:
+    """Width and height as the file stores its pixels; Pillow exchanges them where a TIFF file lies on its side."""
+    tags = getattr(image, "tag_v2", {}) if image.format == "TIFF" else {}
+    return tags.get(ExifTags.Base.ImageWidth, image.width), tags.get(ExifTags.Base.ImageLength, image.height)
 
 
 def require_pixels(image: Image.Image, longest: int) -> None:
@@ -86,25 +94,31 @@ def require_pixels(image: Image.Image, longest: int) -> None:
 
 
 def rounded_to_8_bits(image: Image.Image, source: Picture) -> Image.Image:
-    """Colours of 16 bits rounded to 8, which Pillow would cut off, or mix up where planes are stored one by one.
+    """Colours of 16 bits rounded to 8, which Pillow would truncate, or mix up where planes are stored separately.
 
     Other images are returned as they are; ``source`` is what the image was opened from.
     """
-    tags = getattr(image, "tag_v2", {})
-    bits = max(tags.get(ExifTags.Base.BitsPerSample, (8,))) if tags else 16 * (";16" in str(getattr(image, "tile", "")))
+    bits = _bits(image)
     if bits == 32 and image.mode == "I":
         raise UserError("levels of 32 bits are not read; save it with 8 or 16 bits")
     if bits != 16 or image.mode not in ("RGB", "RGBA"):
         return image
     require(40 * image.width * image.height, f"{image.width} x {image.height} pixels of 16 bits", "make it smaller")
     data = source if isinstance(source, bytes) else source.read_bytes()
-    with av.open(io.BytesIO(data), "r", format="tiff_pipe" if tags else "png_pipe") as container:
+    with av.open(io.BytesIO(data), "r", format="tiff_pipe" if image.format == "TIFF" else "png_pipe") as container:
         frame = next(container.decode(video=0))
     levels = frame.to_ndarray(format="rgba64le" if image.mode == "RGBA" else "rgb48le")
     rounded = Image.fromarray(((levels.astype(np.uint32) + 128) // 257).astype(np.uint8))
     rounded.info["icc_profile"] = image.info.get("icc_profile")
     rounded.getexif()[ExifTags.Base.Orientation] = image.getexif().get(ExifTags.Base.Orientation, 1)
     return rounded
+
+
+def _bits(image: Image.Image) -> int:
+    """Bits of a channel in the file: TIFF has a tag for it, and Pillow's decoder of PNG is called ``RGB;16B``."""
+    if image.format == "TIFF":
+        return max(getattr(image, "tag_v2", {}).get(ExifTags.Base.BitsPerSample, (8,)))
+    return 16 if ";16" in str(getattr(image, "tile", "")) else 8
 
 
 def _too_large(image: Image.Image) -> str:

@@ -83,13 +83,6 @@ def thumbnails(views: Sequence[Image.Image]) -> list[Image.Image]:
     return [ImageOps.contain(views[place], (CELL, CELL), Image.Resampling.LANCZOS) for place in places]
 
 
-def side_by_side(images: Sequence[Image.Image]) -> Image.Image:
-    """Pictures in a row, as high as the lowest."""
-    height = min(image.height for image in images)
-    resized = (image.resize((max(1, round(image.width * height / image.height)), height)) for image in images)
-    return Image.fromarray(np.hstack([np.asarray(image.convert("RGB")) for image in resized]))
-
-
 def style_sheet(
     views: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]], *, title: str = "photograph"
 ) -> Image.Image:

@@ -10,6 +10,7 @@ import numpy as np
 from av.container import InputContainer
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
+from av.video.reformatter import ColorRange, Colorspace
 from jaxtyping import Float
 from PIL import ExifTags, Image
 from scipy.ndimage import laplace
@@ -23,7 +24,9 @@ from anystyle.io.sheet import to_pil
 
 _log = logging.getLogger(__name__)
 
-SUFFIXES = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ogv", ".webm"})
+SUFFIXES = frozenset(
+    {".3g2", ".3gp", ".avi", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv", ".ts", ".webm"}
+)
 """Suffixes of files that are read as videos."""
 
 _CONTAINERS = "avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,mpeg,mpegvideo,mpegts,ogg"
@@ -32,22 +35,35 @@ _CONTAINERS = "avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,mpeg,mpegvideo,mpegts,o
 MANY_FRAMES = 3000
 """Frames; only the key frames of longer videos are decoded."""
 
+HD_LINES = 720
+"""From this height on players take the colours of a film for BT.709, below for BT.601."""
+
+BT709 = 1
+"""Its matrix, primaries and transfer function in ITU-T H.273."""
+
 _HDR = {16: "PQ", 18: "HLG"}
 """Transfer functions of high dynamic range, by their number in ITU-T H.273."""
 
 
 class _Timeline(NamedTuple):
-    """The number of a video's frames, and when it starts and ends in the time base of its stream."""
+    """The number of a video's frames, and when it starts and ends in the time base of its stream.
+
+    ``pixel_aspect`` is the width of a pixel by its height.
+    """
 
     frames: int
     start: int
     end: int
+    pixel_aspect: float
 
     def part(self, number: int, time: int | None, count: int) -> int:
         """Which of ``count`` parts of equal length a frame lies in; by its number where the video has no times."""
         if time is None or self.end <= self.start:
             return min(number * count // max(self.frames, 1), count - 1)
-        return min(max(0, (time - self.start) * count // (self.end - self.start)), count - 1)
+        length = self.end - self.start
+        # Containers round the times of frames, to milliseconds in Matroska: a frame at a border belongs behind it.
+        rounding = min(2.0, length / (4 * self.frames))
+        return min(max(0, int((time - self.start + rounding) * count / length)), count - 1)
 
 
 def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
@@ -99,7 +115,8 @@ def _sharpest(
     for number, frame in _decode(path, key_frames_only=key_frames_only):
         part, sharp = timeline.part(number, frame.pts, count), _sharpness(frame)
         if part not in best or sharp > best[part][0]:
-            best[part] = (sharp, number, frame.to_image().rotate(frame.rotation, expand=True))
+            image = frame.to_image(width=round(frame.width * timeline.pixel_aspect))
+            best[part] = (sharp, number, image.rotate(frame.rotation, expand=True))
     return {part: (number, image) for part, (_, number, image) in best.items()}
 
 
@@ -126,7 +143,10 @@ def _inspect(path: Path, count: int) -> _Timeline:
             require(3 * min(count, len(ends)) * size.width * size.height, what, "take fewer (views.take)")
             if (curve := _HDR.get(size.color_trc)) is not None:
                 _log.warning("%s is a film of high dynamic range (%s), whose colours come out pale", path, curve)
-        return _Timeline(len(ends), min((start for start, _ in packets if start is not None), default=0), there)
+        aspect = float(stream.sample_aspect_ratio or 1)
+        if aspect != 1:
+            _log.warning("%s has pixels %.2f times as wide as high; its frames are widened as players do", path, aspect)
+        return _Timeline(len(ends), min((start for start, _ in packets if start is not None), default=0), there, aspect)
 
 
 def _decode(path: Path, *, key_frames_only: bool) -> Iterator[tuple[int, VideoFrame]]:
@@ -154,7 +174,8 @@ def _sharpness(frame: VideoFrame) -> float:
 def write_video(frames: Iterable[Float[Tensor, "3 H W"]], path: Path, *, fps: int = 30) -> None:
     """Write frames, sRGB in [0, 1], as H.264 video that browsers play, one by one as they come; whole or not at all.
 
-    All have one size; an odd row or column at the end is dropped, as the format demands.
+    All have one size; an odd row or column at the end is dropped, as the format demands. From :data:`HD_LINES` on,
+    colours are stored and tagged as ITU-R BT.709, as players take films of that size.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         # At this rate factor H.264 is visually lossless; films of "veryfast" are a tenth smaller, and take 1.7 as long.
@@ -165,7 +186,14 @@ def write_video(frames: Iterable[Float[Tensor, "3 H W"]], path: Path, *, fps: in
             height, width = (side // 2 * 2 for side in image.shape[1:])
             if empty:
                 stream.width, stream.height, empty = width, height, False
-            container.mux(stream.encode(VideoFrame.from_image(to_pil(image[:, :height, :width]))))
+                if height >= HD_LINES:
+                    context = stream.codec_context
+                    context.colorspace, context.color_primaries, context.color_trc = BT709, BT709, BT709
+                    context.color_range = ColorRange.MPEG
+            frame = VideoFrame.from_image(to_pil(image[:, :height, :width]))
+            if height >= HD_LINES:
+                frame = frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)
+            container.mux(stream.encode(frame))
         if empty:
             raise ValueError(f"there are no frames to write to {path}")
         container.mux(stream.encode())

@@ -22,9 +22,6 @@ LUMA = (0.2126, 0.7152, 0.0722)
 
 MAX_SCALE = 8.0
 
-FIELDS = {"opacity": "opacities", "scale": "scales", "rotation": "rotations", "color": "harmonics"}
-"""The field of Gaussians that each attribute of a style branch becomes."""
-
 
 @dataclass(frozen=True)
 class SeenScene:
@@ -63,35 +60,26 @@ class Controls:
         preserve_color: In [0, 1]: how much of the scene's own hues stays under the style's strokes.
         scale: Size of strokes. A model without strokes embeds the style image enlarged by it.
         mask: Where style enters; everywhere without one.
-        attributes: Which attributes of a Gaussian take the style, of ``opacity, scale, rotation, color``; all that the
-            method styles without any.
     """
 
     strength: float = 1.0
     preserve_color: float = 0.0
     scale: float = 1.0
     mask: Mask | None = None
-    attributes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("strength", "preserve_color"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UserError(f"{name} is {getattr(self, name)}; expected a number between 0 and 1")
-        if not set(self.attributes) <= FIELDS.keys():
-            raise UserError(f"attributes are {list(self.attributes)}; choose from {', '.join(FIELDS)}")
         if not 1 / MAX_SCALE <= self.scale <= MAX_SCALE:
             raise UserError(f"scale is {self.scale}; expected a number between {1 / MAX_SCALE} and {MAX_SCALE:g}")
 
     @property
     def label(self) -> str:
         """What differs from the defaults, as text; empty where nothing does."""
-        texts: list[str] = []
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if value != item.default:
-                shown = value if isinstance(value, tuple) else () if isinstance(value, Mask) else (f"{value:g}",)
-                texts.append(" ".join((item.name.replace("_", " "), *shown)))
-        return ", ".join(texts)
+        changed = [item.name for item in fields(self) if getattr(self, item.name) != item.default]
+        numbers = [f"{name.replace('_', ' ')} {getattr(self, name):g}" for name in changed if name != "mask"]
+        return ", ".join([*numbers, *(["mask"] if self.mask is not None else [])])
 
 
 def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"]) -> Gaussians:
@@ -138,12 +126,10 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
 def applied(
     controls: Controls, unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"] = 1.0
 ) -> Gaussians:
-    """A styled scene under the controls of strength, of colours and of attributes, weighted by a mask."""
+    """A styled scene under the controls of strength and of colours, weighted by a mask."""
     if controls.preserve_color > 0:
         styled = with_colors_of(unstyled, styled, controls.preserve_color)
-    result = blended(unstyled, styled, controls.strength * weights)
-    names = [FIELDS[attribute] for attribute in controls.attributes]
-    return replace(unstyled, **{name: getattr(result, name) for name in names}) if names else result
+    return blended(unstyled, styled, controls.strength * weights)
 
 
 def rescaled(image: Float[Tensor, "3 H W"], scale: float) -> Float[Tensor, "3 H W"]:

@@ -165,13 +165,14 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
         for index, source in enumerate(() if part in files else getattr(stylizer, part).sources):
             name = part if index == 0 else f"{part}/{source.network}"
             loaded[name] = {"file": source.file, "sha256": source.sha256, "provenance": {}}
-    told = {"backbone": ("the backbone", "its scenes mean nothing, for no weights of it are named")}
-    if not learns:
+    untrained = "%s is untrained and %s; train one, or give its file as weights.%s"
+    if "backbone" not in loaded:
+        effect = "its scenes mean nothing, for no weights of it are named"
+        _log.warning(untrained, "the backbone", effect, "backbone")
+    if "branch" not in loaded and not learns:
         effect = "its colours mean nothing" if branch_options(config).published else "changes nothing"
-        told["branch"] = ("the style branch", f"{effect}, for no weights of one on this backbone are named")
-    for part, (what, why) in told.items():
-        if part not in loaded:
-            _log.warning("%s is untrained and %s; train one, or give its file as weights.%s", what, why, part)
+        effect += ", for no weights of one on this backbone are named"
+        _log.warning(untrained, "the style branch", effect, "branch")
     return stylizer, loaded
 
 
@@ -204,7 +205,6 @@ class LoadedModel:
         reconstruction: What makes a scene of views; ``None`` where that depends on whether their cameras are found.
         poses: The default source of cameras.
         weights: What was loaded; see :func:`assemble`.
-        named: Whether the configuration names all of it, and nothing was in memory already.
     """
 
     stylizer: Stylizer
@@ -212,7 +212,6 @@ class LoadedModel:
     reconstruction: Reconstruction | None
     poses: str
     weights: dict[str, dict[str, Any]]
-    named: bool = True
 
     @property
     def networks(self) -> dict[str, dict[str, Any]]:
@@ -230,7 +229,6 @@ def load_model(
 ) -> LoadedModel:
     """Load the model of a request with its method and reconstruction, but for parts that are in memory already."""
     config, loaded, poses = request.config, {}, "predicted"
-    all_named = stylizer is None and reconstruction is None and method is None
     if stylizer is None:
         stylizer, loaded = assemble_frozen(config)
         stylizer = stylizer.to(default_device())
@@ -238,7 +236,7 @@ def load_model(
     method = method or make_method(config, stylizer.style_encoder)
     if reconstruction is None and config.get("reconstruction") is not None:
         reconstruction = build(Reconstruction, config.reconstruction)
-    return LoadedModel(stylizer, method, reconstruction, poses, loaded, all_named)
+    return LoadedModel(stylizer, method, reconstruction, poses, loaded)
 
 
 def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:

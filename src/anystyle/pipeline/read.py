@@ -4,6 +4,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxtyping import Float
 from omegaconf import DictConfig
@@ -11,22 +12,25 @@ from torch import Tensor
 
 from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
 from anystyle.data.folder import covering, files_of, read_originals, read_views
+from anystyle.data.images import listing
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
-from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
+from anystyle.pipeline.cameras import KnownCameras, from_files, from_views, stored_beside
 from anystyle.pipeline.inputs import InMemory, Photographs, SavedScene
 from anystyle.pipeline.load import LoadedModel, make_scenes
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, photographs
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.splats import ReadSplat, read_splat
 from anystyle.pipeline.stages import Stages
 from anystyle.reconstructions import Feedforward
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, SourceImage, Views
+
+if TYPE_CHECKING:
+    from anystyle.pipeline.saved import ReadSplat
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +60,7 @@ class ReadViews:
     made_of: tuple[Entry, ...] = ()
 
 
-def read(request: Request, model: LoadedModel, stages: Stages) -> ReadViews | ReadSplat:
+def read(request: Request, model: LoadedModel, stages: Stages) -> "ReadViews | ReadSplat":
     """Read the inputs of a request, with cameras where they are known or can be estimated.
 
     Where the model names no reconstruction, the plugin that estimates cameras chooses it if it succeeds; elsewhere it
@@ -69,6 +73,8 @@ def read(request: Request, model: LoadedModel, stages: Stages) -> ReadViews | Re
         raise UserError(f"views.masks={options.masks}: masks belong to photographs, and the input is {given}")
     match inputs:
         case SavedScene(path):
+            from anystyle.pipeline.saved import read_splat
+
             return read_splat(path, model.stylizer, options, request.splat, stages)
         case Photographs(paths):
             return _photographs(paths, backbone, options, poses, model.reconstruction, stages)
@@ -111,6 +117,10 @@ def _photographs(
     if options.masks is not None:
         masks = find_masks(expanded(options.masks), [path for item in paths for path in files_of(item)])
     estimators, report = catalog().names("pose_estimator"), {}
+    if poses.use == "auto" and _stored_beside(paths, poses):
+        poses = replace(poses, use="known")
+        if reconstruction is None and estimators:
+            reconstruction = build(Reconstruction, build(PoseEstimator, estimators[0]).reconstruction)
     estimator = next(iter(estimators), None) if poses.use == "auto" else poses.use
     given: ReadViews | None = None
     if estimator in estimators:
@@ -146,6 +156,26 @@ def _photographs(
     return _masked(given, masks, options, stages)
 
 
+def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> bool:
+    """Whether cameras of most photographs are stored beside them; what is found is logged."""
+    files = [file for path in paths for file in files_of(path)]
+    try:
+        found = stored_beside(files, None if poses.folder is None else Path(poses.folder))
+    except UserError as error:
+        _log.warning("cameras beside the photographs are not used: %s", error)
+        return False
+    if not found:
+        return False
+    used = len(found) >= max(2, len(files) / 2)
+    _log.warning(
+        "cameras of %d of %d photographs are stored beside them, and are %s",
+        len(found),
+        len(files),
+        "used; poses=sfm finds them anew" if used else "not used, for they are too few; poses=known uses them",
+    )
+    return used
+
+
 def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, stages: Stages) -> ReadViews:
     views, report = masked_views(given.views, given.sources, masks, empty=options.masked == "empty")
     if report:
@@ -154,7 +184,7 @@ def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, 
             f"of {report['photographs']} of {len(given.sources)} photographs: {report['transparent']:.0%} of the "
             f"pixels are empty, {report['ignored']:.0%} are ignored",
         )
-    if not given.reconstruction.needs_cameras and (report or views.counted is not None):
+    if not given.reconstruction.needs_cameras and (report or views.valid is not None):
         _log.warning(
             "the single pass knows no masks: what is transparent is white in it, and what masks ignore is in the "
             "scene; reconstruction=fit builds neither"
@@ -175,7 +205,11 @@ def _with_stored(
         views, sources, known = from_files(views, sources, None if poses.folder is None else Path(poses.folder))
     if poses.use == "target":
         return ReadViews(views, sources, reconstruction, targets=known)
-    return ReadViews(views, sources, reconstruction, known.of_all(names))
+    if without := [name for index, name in enumerate(names) if index not in known.indices]:
+        told = "%d of %d photographs have no stored camera and are left out: %s"
+        _log.warning(told, len(without), len(names), listing(without))
+    kept = list(known.indices)
+    return ReadViews(views.select(kept), tuple(sources[index] for index in kept), reconstruction, known.views)
 
 
 def _estimated(

@@ -1,27 +1,112 @@
-"""The fourth step: results of a stylization, each restyled when it is asked for."""
+"""The fourth step: an encoded capture in its styles, each result computed when it is asked for."""
 
+import inspect
+import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from importlib.metadata import version
+from math import isqrt
 from typing import Any
 
 from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.contracts import Method
+from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
 from anystyle.io.sheet import thumbnails
+from anystyle.pipeline.controls import Controls, Mask, SeenScene, applied
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.load import LoadedModel
 from anystyle.pipeline.provenance import Entry, without_folders
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle.types import Cameras, Gaussians, OnProgress, Scene, StyledScene, StyleEmbedding, no_progress
 from anystyle.vision.weights import license_lines, licenses
 
+_log = logging.getLogger(__name__)
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
+
+
+class Restyler:
+    """Gives one capture its styles; what several of them share is computed once.
+
+    ``keep`` styled scenes stay in memory, to apply other controls to them.
+    """
+
+    def __init__(self, encoded: EncodedCapture, method: Method, keep: int = 1) -> None:
+        self.encoded, self.method = encoded, method
+        # The identity of an embedding is the key; the entry holds it, so that the identity stays unique.
+        self._styled: LRUCache[int, tuple[StyleEmbedding, Gaussians]] = LRUCache(keep)
+        self._told = False
+        self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
+
+    @cached_property
+    def unstyled(self) -> Gaussians:
+        """The reconstruction itself."""
+        return _finite(self.encoded.gaussians(self.encoded.stylizer.unstyled), "the unstyled scene")
+
+    def __call__(self, style: EmbeddedStyle, on_progress: OnProgress = no_progress) -> Gaussians:
+        """The scene in a style; ``on_progress`` is called every few seconds while the method works."""
+        controls = style.controls
+        if controls.strength == 0:
+            return self.unstyled
+        embedding = style.embedding
+        _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style, on_progress)))
+        if controls == replace(Controls(), scale=controls.scale):
+            return styled
+        if styled.means.shape != self.unstyled.means.shape:
+            raise UserError("controls need a fixed number of Gaussians, and this method adds some; leave them out")
+        return applied(controls, self.unstyled, styled, self.mask_weights(controls.mask))
+
+    def _restyle(self, style: EmbeddedStyle, on_progress: OnProgress) -> Gaussians:
+        stylizer = self.encoded.stylizer
+        given = style.style.to(stylizer.device)
+
+        def restyle(scene: Scene) -> Gaussians:
+            return self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
+
+        styled = _finite(self.encoded.gaussians(restyle), f"the scene in the style {style.title}")
+        before = self.encoded.groups[0].scene.gaussians
+        if before is not None and styled.harmonics.shape[2] < before.harmonics.shape[2]:
+            self._tell_dropped(isqrt(before.harmonics.shape[2]) - 1)
+        return styled
+
+    def _tell_dropped(self, degree: int) -> None:
+        """Say once that colours of the scene no longer depend on the direction."""
+        if self._told:
+            return
+        self._told = True
+        keeps = "keep_harmonics" in inspect.signature(type(self.method)).parameters
+        remedy = "; method.keep_harmonics=true keeps them" if keeps else ""
+        _log.warning("harmonics of degree 1 to %d of the given scene are dropped%s", degree, remedy)
+
+    def mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
+        """How much of a style each Gaussian takes; computed once a mask."""
+        if mask is None:
+            return 1.0
+        if mask not in self._weights:
+            seen = SeenScene(self.encoded.sources, self.encoded.cameras, self.encoded.stylizer.renderer)
+            self._weights[mask] = mask.weights(self.unstyled, seen)
+        return self._weights[mask]
+
+
+def _finite(gaussians: Gaussians, what: str) -> Gaussians:
+    """The same Gaussians, or a UserError if a number is not finite: formats would store NaN silently."""
+    for item in fields(gaussians):
+        values: Tensor = getattr(gaussians, item.name)
+        lost = values.numel() - int(values.isfinite().sum())
+        if lost:
+            raise UserError(
+                f"{lost} of {values.numel()} numbers of the {item.name} of {what} are NaN or infinite. `anystyle "
+                "plugins check backbone NAME` finds where a backbone of your own makes them; trained weights may need "
+                "precision=fp32"
+            )
+    return gaussians
 
 
 @dataclass(frozen=True)
@@ -132,6 +217,10 @@ class Result:
     def shares(self, names: Sequence[str]) -> bool:
         """Whether these attributes of Gaussians are those of the unstyled scene; some methods move or add Gaussians."""
         return self.gaussians.shares(self.run.unstyled, names)
+
+    def weights(self, mask: Mask) -> float | Float[Tensor, "B N"]:
+        """How much of a style each Gaussian takes under a mask, in [0, 1]; what ``controls.blended`` reads."""
+        return self.run.restyler.mask_weights(mask)
 
     def scene(self, shared: Sequence[str] = ()) -> StyledScene:
         """The Gaussians for a file of styles that share attributes: before this one the unstyled, if they are its."""

@@ -2,27 +2,37 @@
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
 from threading import Event
 
+import torch
 from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Format
+from anystyle.data.names import names_below
 from anystyle.errors import UserError, one_line
 from anystyle.formats import comments
+from anystyle.geometry.harmonics import rgb_from_constant
+from anystyle.geometry.transforms import Similarity
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
+from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
+from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.film import Film
+from anystyle.pipeline.inputs import PICTURE
 from anystyle.pipeline.results import Result, Results, StylizeRun, pictures
-from anystyle.pipeline.saved import PICTURE, save_gaussians, write_cameras, write_colmap
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, SourceImage, StyledScene
+from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
 
+CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
+MAX_POINTS = 100_000
+"""Points of a COLMAP export: what an optimisation of Gaussians starts from."""
 WRITTEN = "scene, renders and video"
 """The progress line while a result is written."""
 
@@ -215,3 +225,64 @@ def _pictures_of(images: Iterable[Float[Tensor, "3 H W"]], sources: Sequence[Sou
     if not sources:
         return list(pictures)
     return [picture.crop(source.inside) for picture, source in zip(pictures, sources, strict=True)]
+
+
+def save_gaussians(gaussians: Gaussians, path: Path) -> None:
+    """Write every tensor of some Gaussians, without the loss of the PLY's conventions, as safetensors."""
+    tensors = {item.name: getattr(gaussians, item.name).detach().cpu().contiguous() for item in fields(gaussians)}
+    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"})
+
+
+def write_cameras(
+    path: Path,
+    cameras: Cameras,
+    sources: Sequence[SourceImage],
+    offset: Offset = NEAR,
+    scene_from_known: Similarity | None = None,
+) -> None:
+    """Write the cameras of views as readable JSON, with intrinsics in pixels of their sources.
+
+    Where known cameras were given, the similarity from their frame to the scene's is written as well.
+    """
+    matrices = zip(_source_intrinsics(cameras, sources), cameras.world_from_camera[0], strict=True)
+    views = [
+        {"name": source.name, "height": source.size[0], "width": source.size[1]}
+        | {"intrinsics": intrinsics.tolist(), "world_from_camera": pose.tolist()}
+        for source, (intrinsics, pose) in zip(sources, matrices, strict=True)
+    ]
+    content: dict[str, object] = {"convention": CONVENTION, "views": views}
+    if any(offset):
+        content["offset"] = {"meaning": "to add to all positions", "xyz": offset}
+    if scene_from_known is not None:
+        content["scene_from_known"] = {
+            "meaning": "scene = scale * rotation @ known + translation",
+            **{name: value.tolist() for name, value in scene_from_known._asdict().items()},
+        }
+    write_json(path, content)
+
+
+def write_colmap(
+    folder: Path, gaussians: Gaussians, cameras: Cameras, sources: Sequence[SourceImage], *, binary: bool
+) -> None:
+    """Write one scene as a COLMAP model: cameras in source pixels, images, and the most opaque Gaussians as points."""
+    from anystyle.io import colmap
+
+    opacities, cameras = gaussians.opacities[0].cpu(), cameras.to(torch.float64)
+    most_opaque = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
+    rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[most_opaque])
+    paths = [source.path for source in sources if source.path is not None]
+    files = dict(zip(paths, names_below(paths), strict=True))
+    model = colmap.pinhole_model(
+        [f"{source.name}.png" if source.path is None else files[source.path] for source in sources],
+        [source.size for source in sources],
+        _source_intrinsics(cameras, sources).numpy(),
+        cameras.camera_from_world[0].numpy(),
+        gaussians.means[0].cpu()[most_opaque].double().numpy(),
+        (rgb.clamp(0, 1) * 255).round().byte().numpy(),
+    )
+    colmap.write(model, folder, binary=binary)
+
+
+def _source_intrinsics(cameras: Cameras, sources: Sequence[SourceImage]) -> Float[Tensor, "V 3 3"]:
+    pairs = zip(sources, cameras.intrinsics[0], strict=True)
+    return torch.stack([source.source_intrinsics(matrix) for source, matrix in pairs])

@@ -1,65 +1,66 @@
-"""The files of a scene besides renders, and reading them back: a folder of results, or a file of Gaussians."""
+"""A saved scene, which is a folder of results or a file of Gaussians: reading it, and cameras and views of it."""
 
-from collections.abc import Iterable, Iterator, Sequence
+import logging
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float
+import torch.nn.functional as F
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from anystyle.contracts import Format, StoredCamera
+from anystyle.contracts import Format, Renderer
+from anystyle.data.folder import covering
 from anystyle.data.images import open_image
-from anystyle.data.names import distinct, names_below, short_names
-from anystyle.data.poses import stored_cameras
-from anystyle.data.scene_format import scene_format
+from anystyle.data.names import short_names
+from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
-from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.geometry.transforms import Similarity
-from anystyle.io.atomic import write_json
-from anystyle.io.checkpoint import save_tensors
+from anystyle.geometry.cameras import look_at
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
+from anystyle.methods.colors import first_render
+from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.inputs import OWN
+from anystyle.pipeline.inputs import OWN, PICTURE, file_of, scene_format
+from anystyle.pipeline.options import SplatOptions, ViewOptions
+from anystyle.pipeline.provenance import Entry, entry
+from anystyle.pipeline.stages import Stages
 from anystyle.ranges import Count
 from anystyle.registry.build import build
-from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
+from anystyle.stylizer import Stylizer
+from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
 from anystyle.vision import weights
 
+_log = logging.getLogger(__name__)
 UNSTYLED = "unstyled"
-PICTURE = "style.jpg"
-"""A small picture of the style, where it is an image."""
 CHOSEN = ("chosen", "chosen around the scene")
 """What a report says of cameras that are not those of photographs, since 0.2 and before."""
-CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
-MAX_POINTS = 100_000
-"""Points of a COLMAP export: what an optimisation of Gaussians starts from."""
-_Row3 = tuple[float, float, float]
-_Row4 = tuple[float, float, float, float]
+ELEVATIONS = (10.0, 35.0)
+"""Degrees above the scene's middle, of two rings of chosen cameras."""
+FOCAL = 1.2
+"""Of chosen cameras, in sides of their square images: 45 degrees."""
+DISTANCE = 3.0
+"""Of chosen cameras from the middle, in radii."""
+PAINTED = 384
+"""Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
+NOT_COMPENSATED = (
+    "renders here do not apply: Gaussians that are thinner than a pixel are too opaque in them. Files that are written "
+    "say that it was, where their format can: PLY, SPZ and SOG"
+)
+COUNTED = 100_000
+"""Gaussians, evenly spaced, that tell which axis is up."""
+FLAT, LEVEL = 0.5, 1.5
+"""A Gaussian is flat whose thinnest side is less than this share of the next; a floor has so many times as much of
+what is flat across the axis that is up as there is across another."""
+CameraOrigin = Literal["stored", "chosen"]
+"""Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
-
-
-@dataclass(frozen=True)
-class SavedCamera:
-    """A view in ``cameras.json``."""
-
-    name: str
-    height: _Side
-    width: _Side
-    intrinsics: tuple[_Row3, _Row3, _Row3]
-    world_from_camera: tuple[_Row4, _Row4, _Row4, _Row4]
-
-
-@dataclass(frozen=True)
-class SavedCameras:
-    """``cameras.json``."""
-
-    views: Annotated[list[SavedCamera], Meta(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -76,67 +77,6 @@ class SavedReport:
     offset: Offset = NEAR
 
 
-def save_gaussians(gaussians: Gaussians, path: Path) -> None:
-    """Write every tensor of some Gaussians, without the loss of the PLY's conventions, as safetensors."""
-    tensors = {item.name: getattr(gaussians, item.name).detach().cpu().contiguous() for item in fields(gaussians)}
-    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"})
-
-
-def write_cameras(
-    path: Path,
-    cameras: Cameras,
-    sources: Sequence[SourceImage],
-    offset: Offset = NEAR,
-    scene_from_known: Similarity | None = None,
-) -> None:
-    """Write the cameras of views as readable JSON, with intrinsics in pixels of their sources.
-
-    Where known cameras were given, the similarity from their frame to the scene's is written as well.
-    """
-    matrices = zip(_source_intrinsics(cameras, sources), cameras.world_from_camera[0], strict=True)
-    views = [
-        {"name": source.name, "height": source.size[0], "width": source.size[1]}
-        | {"intrinsics": intrinsics.tolist(), "world_from_camera": pose.tolist()}
-        for source, (intrinsics, pose) in zip(sources, matrices, strict=True)
-    ]
-    content: dict[str, object] = {"convention": CONVENTION, "views": views}
-    if any(offset):
-        content["offset"] = {"meaning": "to add to all positions", "xyz": offset}
-    if scene_from_known is not None:
-        content["scene_from_known"] = {
-            "meaning": "scene = scale * rotation @ known + translation",
-            **{name: value.tolist() for name, value in scene_from_known._asdict().items()},
-        }
-    write_json(path, content)
-
-
-def write_colmap(
-    folder: Path, gaussians: Gaussians, cameras: Cameras, sources: Sequence[SourceImage], *, binary: bool
-) -> None:
-    """Write one scene as a COLMAP model: cameras in source pixels, images, and the most opaque Gaussians as points."""
-    from anystyle.io import colmap
-
-    opacities, cameras = gaussians.opacities[0].cpu(), cameras.to(torch.float64)
-    most_opaque = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
-    rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[most_opaque])
-    paths = [source.path for source in sources if source.path is not None]
-    files = dict(zip(paths, names_below(paths), strict=True))
-    model = colmap.pinhole_model(
-        [f"{source.name}.png" if source.path is None else files[source.path] for source in sources],
-        [source.size for source in sources],
-        _source_intrinsics(cameras, sources).numpy(),
-        cameras.camera_from_world[0].numpy(),
-        gaussians.means[0].cpu()[most_opaque].double().numpy(),
-        (rgb.clamp(0, 1) * 255).round().byte().numpy(),
-    )
-    colmap.write(model, folder, binary=binary)
-
-
-def _source_intrinsics(cameras: Cameras, sources: Sequence[SourceImage]) -> Float[Tensor, "V 3 3"]:
-    pairs = zip(sources, cameras.intrinsics[0], strict=True)
-    return torch.stack([source.source_intrinsics(matrix) for source, matrix in pairs])
-
-
 def unstyled_of(scene: StyledScene) -> Gaussians:
     """The scene itself; where it was not saved, the last of the styles."""
     return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
@@ -147,36 +87,6 @@ def read_saved(path: Path, up: str | None = None, *, activated: bool = False) ->
     return in_axes("opencv", read_unturned(path, up, activated=activated))
 
 
-def with_stored_cameras(scene: StyledScene, path: Path, stored_in: str | None = None) -> StyledScene:
-    """A scene with the cameras beside its file or one folder above, those of one size, where it has none of its own."""
-    folders = (path.parent, path.parent.parent) if stored_in is None else (Path(stored_in),)
-    for folder in () if scene.names else folders:
-        if (file := folder / "cameras.json").is_file():
-            cameras, names = _cameras(file)
-            return replace(scene, cameras=cameras, names=names)
-        if stored := cameras_beside(folder, scene.offset):
-            size = next(iter(stored.values())).size
-            alike = {name: camera for name, camera in stored.items() if camera.size == size}
-            poses = np.stack([camera.world_from_camera for camera in alike.values()])
-            intrinsics = np.stack([camera.intrinsics for camera in alike.values()])
-            cameras = Cameras(torch.from_numpy(poses).float()[None], torch.from_numpy(intrinsics).float()[None], size)
-            names = tuple(short_names([PurePosixPath(name) for name in alike]))
-            return replace(scene, cameras=cameras, names=names)
-    return scene
-
-
-def cameras_beside(folder: Path, offset: Offset) -> dict[str, StoredCamera]:
-    """The cameras that are stored in a folder, without the offset of the scene where they have it."""
-    stored = stored_cameras(folder)
-    centers = np.array([camera.world_from_camera[:3, 3] for camera in stored.values()]).reshape(-1, 3)
-    if np.abs(centers - offset).sum() >= np.abs(centers).sum():
-        return stored
-    shift = np.pad(np.array(offset)[:, None], ((0, 1), (3, 0)))
-    return {
-        name: replace(camera, world_from_camera=camera.world_from_camera - shift) for name, camera in stored.items()
-    }
-
-
 def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> StyledScene:
     """Read a folder of results, or a file of Gaussians in its own axes, which are ``up`` or what it says.
 
@@ -184,6 +94,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     """
     if not path.exists():
         raise UserError(f"there is no file or folder {path}")
+    path = file_of(path)
     if path.suffix.lower() == OWN and path.is_file():
         gaussians, folder = read_gaussians(path), path.parent
         if not (folder / "report.json").is_file():
@@ -192,9 +103,12 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
     if name := scene_format(path):
-        scene = build(Format, name, activated=activated).read(path)
-        notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
-        notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
+        reader = build(Format, name, activated=activated)
+        scene, beside = reader.read(path), path.with_suffix(path.suffix + ".txt")
+        more = read_text(beside).splitlines() if beside.is_file() else []
+        notes = scene.notes if reader.has_notes and scene.notes else tuple(dict.fromkeys([*scene.notes, *more]))
+        if scene.antialiased:
+            _log.warning("%s was trained with antialiasing, which %s", path, NOT_COMPENSATED)
         return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
@@ -210,7 +124,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     first, report = next(iter(reports.items()))
-    cameras, names = _cameras(first / "cameras.json")
+    cameras, names = own_cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     notes = (made, *weights.license_lines(report.licenses), *report.notes)
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
@@ -252,18 +166,147 @@ def read_gaussians(path: Path) -> Gaussians:
         raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
 
 
-def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
-    """The cameras of a saved scene by the name of their view."""
-    poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
-    stored = zip(distinct(saved.names), poses.numpy(), intrinsics.numpy(), strict=True)
-    return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
+@dataclass(frozen=True)
+class ReadSplat:
+    """Given Gaussians as they were read.
+
+    Args:
+        gaussians: A batch of one, in OpenCV's axes.
+        cameras: Where they are seen from.
+        sources: What the images of these cameras are called.
+        origin: Where the cameras come from.
+        file: The file itself, where results can be copies of it with other colours.
+        notes: Lines of the file, such as licences.
+        made_of: The file, for the report.
+        offset: What was taken off the positions.
+    """
+
+    gaussians: Gaussians
+    cameras: Cameras
+    sources: tuple[SourceImage, ...]
+    origin: CameraOrigin
+    file: Path | None
+    notes: tuple[str, ...]
+    made_of: tuple[Entry, ...]
+    offset: Offset
 
 
-def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of ``cameras.json``, those of one size as the first."""
-    views = read_json(path, SavedCameras, what="file of cameras").views
-    first = views[0]
-    alike = [view for view in views if (view.height, view.width) == (first.height, first.width)]
-    poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
-    intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
-    return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
+def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: SplatOptions, stages: Stages) -> ReadSplat:
+    """Read a saved scene with cameras that are stored with it or chosen; of several styles the unstyled scene.
+
+    Views have the size that ``views`` say, else that at which results were made.
+    """
+    path = file_of(path)
+    with stages("read", "the Gaussians"):
+        given = read_unturned(path, options.up, activated=options.activated)
+        saved = in_axes("opencv", given)
+        sees_features = stylizer.branch.gaussian_head is not None
+        side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
+        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side, given.up)
+        made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
+    file = path if path.is_file() and given.up == "opencv" and not options.activated else None
+    return ReadSplat(unstyled_of(saved), cameras, sources, origin, file, given.notes, made_of, saved.offset)
+
+
+def cameras_of(
+    path: Path,
+    saved: StyledScene,
+    views: ViewOptions,
+    options: SplatOptions,
+    multiple: int,
+    side: int,
+    own_up: str = "opencv",
+) -> tuple[Cameras, tuple[SourceImage, ...], CameraOrigin]:
+    """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
+
+    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. ``own_up`` are the
+    axes that the file had before it was turned to OpenCV's. Beside the cameras it returns what their images are called,
+    and where they come from.
+    """
+    side = max(multiple, round((views.short_side or side) / multiple) * multiple)
+    stored = {} if options.folder else saved_cameras(saved)
+    stored = stored or cameras_beside(path, options.folder, saved.offset, own_up)
+    if not stored:
+        names = [f"view_{index:02d}" for index in range(options.cameras)]
+        sources = tuple(covering(name, (side, side), (side, side)) for name in names)
+        gaussians = unstyled_of(saved)
+        _log.warning(
+            "no cameras are in %s or beside it: %d are chosen around the scene, some of them perhaps behind a wall; "
+            "splat.folder=FOLDER reads those of the photographs%s",
+            path.name,
+            options.cameras,
+            _doubt_of_up(gaussians) if options.up is None and own_up == "opencv" else "",
+        )
+        return around(gaussians, options.cameras, side), sources, "chosen"
+    names = list(stored)
+    chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
+    whole = stored[names[chosen[0]]].size
+    height, width = (max(multiple, round(length * side / min(whole) / multiple) * multiple) for length in whole)
+    called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
+    sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
+    cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
+    return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
+
+
+def _doubt_of_up(gaussians: Gaussians) -> str:
+    """What to type if up is not -y, OpenCV's, where flat Gaussians, as of a floor, lie across another axis."""
+    every = max(1, gaussians.means.shape[1] // COUNTED)
+    gaussians = gaussians.map(lambda tensor: tensor[:, ::every])
+    turned = matrix_from_wxyz(F.normalize(gaussians.rotations[0].double(), dim=-1))  # N 3 3
+    scales, thinnest = gaussians.scales[0].double().sort(dim=1)
+    normals = turned.gather(2, thinnest[:, None, :1].expand(-1, 3, 1))[..., 0]  # N 3
+    # Round Gaussians have no normal, and large ones are more of the surface, though the largest may be sky.
+    area = scales[:, 1] * scales[:, 2]
+    weights = gaussians.opacities[0] * area.clamp(max=float(area.quantile(0.9))) * (scales[:, 0] < FLAT * scales[:, 1])
+    shares = (weights[:, None] * normals**4).sum(0)
+    if not shares.sum() or shares[2] < LEVEL * shares[1]:
+        return "; up is taken to be -y, and splat.up=y or splat.up=z says that it is another axis"
+    return "; its surfaces lie mostly across z, and up is taken to be -y: splat.up=z if renders lie on their side"
+
+
+def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
+    """Cameras on two rings around the middle of a scene, looking at it; -y is up, as in OpenCV's axes.
+
+    Middle and radius are medians weighted by opacity, so that a few floaters far away move neither.
+    """
+    # So that weights do not add up to 0 where every Gaussian is transparent.
+    means, weights = gaussians.means[0], gaussians.opacities[0].double().clamp_min(1e-12).cpu().numpy()
+
+    def quantile(values: Tensor, fraction: float) -> Tensor:
+        data = values.cpu().numpy()
+        return means.new_tensor(np.quantile(data, fraction, axis=0, weights=weights, method="inverted_cdf"))
+
+    middle = quantile(means, 0.5)
+    radius = quantile((means - middle).norm(dim=1), 0.8)
+    turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
+    rise = torch.deg2rad(torch.tensor(ELEVATIONS))[torch.arange(number) % len(ELEVATIONS)]
+    towards = torch.stack([rise.cos() * turn.cos(), -rise.sin(), rise.cos() * turn.sin()], dim=1).to(means)
+    eye = middle + DISTANCE * radius * towards
+    intrinsics = torch.tensor([[FOCAL * side, 0.0, side / 2], [0.0, FOCAL * side, side / 2], [0.0, 0.0, 1.0]])
+    return Cameras(
+        look_at(eye, middle.expand_as(eye))[None], intrinsics.expand(1, number, 3, 3).to(means), (side, side)
+    )
+
+
+@torch.no_grad()
+def scene_of_splat(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    renderer: Renderer,
+    encode: Callable[[Views], Scene],
+) -> Scene:
+    """The renders of given Gaussians, a batch of one, encoded with known cameras, as a scene that has these."""
+    renders = [first_render(gaussians, cameras.select([view]), renderer) for view in range(cameras.intrinsics.shape[1])]
+    images, alpha = (torch.cat([getattr(render, name) for render in renders], dim=1) for name in ("color", "alpha"))
+    depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
+    views = Views(images.clamp(0, 1), cameras)
+    encoded = encode(views)
+    # The colours that are styled are those of the renders, as the encoder saw them.
+    color = constant_from_rgb(views.images.movedim(2, -1))[..., None]
+    return replace(
+        encoded,
+        geometry=Geometry(cameras, depth, alpha),
+        attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
+        clusters=None,
+        gaussians=gaussians,
+    )

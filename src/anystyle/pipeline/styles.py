@@ -1,4 +1,4 @@
-"""Styles as inputs: texts, images, mixtures of two, and several by place."""
+"""Styles as inputs: texts, images and mixtures of two."""
 
 import logging
 import unicodedata
@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor
 
 from anystyle.data.images import image_size, read_image
 from anystyle.errors import UserError
 from anystyle.examples import resolved, title_of
-from anystyle.io.sheet import Cell, side_by_side, to_pil
-from anystyle.pipeline.controls import Controls, Mask, rescaled
+from anystyle.io.sheet import Cell, to_pil
+from anystyle.pipeline.controls import Controls, rescaled
 from anystyle.pipeline.provenance import Entry, entry
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, StyleEmbedding, TextMatch
@@ -39,20 +38,6 @@ class Mixture:
 
 
 @dataclass(frozen=True)
-class Places:
-    """Several styles in one scene, each where its mask is, or as its controls say; a later one covers earlier ones.
-
-    A style without a mask is everywhere. What none covers stays unstyled.
-
-    Example:
-        >>> color, rotation = (Controls(attributes=(name,)) for name in ("color", "rotation"))
-        >>> places = Places((("red dots", color), ("waves", rotation)))
-    """
-
-    styles: tuple[tuple["StyleInput", Mask | Controls | None], ...]
-
-
-@dataclass(frozen=True)
 class Named:
     """A description or an image file under a name of its own, for folders, sheets and pages.
 
@@ -64,8 +49,8 @@ class Named:
     name: str
 
 
-StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places | Named
-"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, several by place or named."""
+StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Named
+"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, or one with a name."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +66,6 @@ class EmbeddedStyle:
         matches: For each text, the nearest description that the encoder knows.
         made_of: The texts and images.
         controls: How it is applied.
-        parts: Several styles by place, whose masks are in their controls, in the order in which they cover each other;
-            embedding and style are then the first one's.
     """
 
     name: str
@@ -93,7 +76,6 @@ class EmbeddedStyle:
     matches: tuple[TextMatch, ...] = ()
     made_of: tuple[Entry, ...] = ()
     controls: Controls = field(default_factory=Controls)
-    parts: tuple["EmbeddedStyle", ...] = ()
 
     def under(self, controls: Controls) -> "EmbeddedStyle":
         """This style applied as controls say, named after what they change."""
@@ -123,8 +105,6 @@ def check_styles(styles: Sequence[StyleInput]) -> None:
             check_styles([style.style])
         elif isinstance(style, Mixture):
             check_styles([style.first, style.second])
-        elif isinstance(style, Places):
-            check_styles([part for part, _ in style.styles])
 
 
 def embed_styles(
@@ -139,10 +119,6 @@ def embed_styles(
         match style:
             case Mixture(first=first, second=second, amount=amount):
                 result = mix(embed(first, scale), embed(second, scale), amount)
-            case Places(styles=styles):
-                places = [place if isinstance(place, Controls) else Controls(mask=place) for _, place in styles]
-                parts = zip(styles, places, strict=True)
-                result = placed([replace(embed(part, scale), controls=place) for (part, _), place in parts])
             case Named(style=inner, name=name):
                 result = replace(embed(inner, scale), name=slug(name), title=" ".join(name.split()))
             case _:
@@ -206,21 +182,6 @@ def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedS
         style=first.style if amount == 0 else second.style if amount == 1 else Style(),
         matches=tuple(dict.fromkeys(first.matches + second.matches)),
         made_of=first.made_of + second.made_of,
-    )
-
-
-def placed(parts: Sequence[EmbeddedStyle]) -> EmbeddedStyle:
-    """Several styles, whose controls say where each is, as one."""
-    pictures = [part.cell for part in parts if isinstance(part.cell, Image.Image)]
-    return replace(
-        parts[0],
-        name="_and_".join(slug(part.name, 24) for part in parts),
-        title=" and ".join(part.title for part in parts),
-        cell=side_by_side(pictures) if len(pictures) == len(parts) else None,
-        matches=tuple(dict.fromkeys(match for part in parts for match in part.matches)),
-        made_of=tuple(entry for part in parts for entry in part.made_of),
-        controls=Controls(),
-        parts=tuple(parts),
     )
 
 

@@ -20,11 +20,10 @@ from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.read import read
 from anystyle.pipeline.request import Request
-from anystyle.pipeline.restyle import Restyler
-from anystyle.pipeline.results import Results, StylizeRun
+from anystyle.pipeline.results import Restyler, Results, StylizeRun
 from anystyle.pipeline.save import Failures, write
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import Mixture, Named, Places, StyleInput, embed_styles
+from anystyle.pipeline.styles import Mixture, Named, StyleInput, embed_styles
 from anystyle.pipeline.words import digest, recorded
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style
@@ -55,8 +54,7 @@ def stylize(
             PLY file or a folder of results, which keeps its geometry. Or a :class:`~anystyle.Request`, which holds the
             other arguments; with it only parts that are in memory, ``out`` and ``stages`` are given.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
-            between two of these as :class:`Mixture`, several in one scene as :class:`Places`; texts and files under
-            another name as :class:`Named`.
+            between two of these as :class:`Mixture`; texts and files under another name as :class:`Named`.
         model: A preset of the group ``model`` (``None`` for the default), loaded onto a GPU where there is one; or a
             stylizer, such as :func:`anystyle.load` returns.
         views: How photographs are read, and how many are encoded together.
@@ -94,7 +92,7 @@ def stylize(
     else:
         request = Request.of(
             inputs,
-            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Named, Places)) else styles,
+            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Named)) else styles,
             [controls] if isinstance(controls, Controls) else controls,
             model=model if isinstance(model, str) else None,
             reconstruction=reconstruction if isinstance(reconstruction, str) else None,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from anystyle.errors import UserError, did_you_mean
 from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import Plugin, PluginError, catalog, kind_named
+from anystyle.registry.catalog import Plugin, PluginError, base_of, catalog
 from anystyle.registry.schema import fitted, node, options, plain, runtime_arguments
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
         0.5
     """
     kind = kind_of(base)
-    strange = [name for name in runtime if name not in kind_named(kind).runtime]
+    strange = [name for name in runtime if name not in base_of(kind).runtime]
     assert not strange, f"{strange[0]!r} is not a runtime argument of a {kind}"
     plugin, values = plugin_of(base, config)
     named = runtime_arguments(plugin)
@@ -108,7 +108,7 @@ def _checked(plugin: Plugin, given: Mapping[str, Any], key: str = "") -> dict[st
         if name not in names:
             raise UserError(f"{plugin} has no option '{name}'.{did_you_mean(name, names)} Options: {', '.join(names)}")
     merged = node(plugin)
-    key = key or (f"{plugin.kind}.{plugin.name}" if kind_named(plugin.kind).many else plugin.kind)
+    key = key or (f"{plugin.kind}.{plugin.name}" if base_of(plugin.kind).many else plugin.kind)
     values: dict[str, Any] = {}
     for item in known:
         try:

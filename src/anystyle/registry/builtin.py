@@ -28,6 +28,9 @@ KINDS = {
 }
 """For each kind its contract, as ``module:Class``."""
 
+MANY = ("loss", "metric")
+"""Those of which a configuration holds several at once, as their contracts say, too."""
+
 OPTIONS = {
     "branch": "anystyle.pipeline.options:BranchOptions",
     "export": "anystyle.pipeline.options:ExportOptions",

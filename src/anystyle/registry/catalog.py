@@ -7,7 +7,6 @@ with :func:`plugin`. A package declares a kind of its own with an entry point ``
 contract.
 """
 
-import ast
 import importlib
 import logging
 import os
@@ -20,7 +19,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -45,47 +44,6 @@ class PluginError(UserError):
 def kinds() -> list[str]:
     """The names of all kinds: those of the core, then those that packages declare."""
     return [*KINDS, *catalog().names(_KIND)]
-
-
-class KindInfo(NamedTuple):
-    """What a kind's contract says of its plugins: see :class:`~anystyle.registry.pluggable.Pluggable`."""
-
-    many: bool
-    runtime: tuple[str, ...]
-
-
-def kind_named(kind: str) -> KindInfo:
-    """A kind of plugin; a PluginError where there is none, or its package cannot be imported."""
-    if kind in KINDS:
-        return _declared(KINDS[kind])
-    contract = base_of(kind)
-    return KindInfo(contract.many, contract.runtime)
-
-
-@cache
-def _declared(target: str) -> KindInfo:
-    """What a contract of the core says, read from its source: importing it would import torch."""
-    module, _, name = target.partition(":")
-    stated = literals((paths.PACKAGE.parent / module.replace(".", "/")).with_suffix(".py"), name)
-    info = KindInfo(Pluggable.many, Pluggable.runtime)
-    return info._replace(**{key: stated[key] for key in KindInfo._fields if key in stated})
-
-
-def literals(file: Path, name: str) -> dict[str, Any]:
-    """The attributes that the body of a class states as literals, read from its file; not to be written to."""
-    return _literals(file, file.stat().st_mtime_ns, name)
-
-
-@cache
-def _literals(file: Path, _changed: int, name: str) -> dict[str, Any]:
-    classes = (node for node in ast.parse(file.read_bytes()).body if isinstance(node, ast.ClassDef))
-    body = next((node.body for node in classes if node.name == name), [])
-    found: dict[str, Any] = {}
-    for statement in body:
-        with suppress(ValueError):
-            if isinstance(statement, ast.Assign):
-                found[ast.unparse(statement.targets[0])] = ast.literal_eval(statement.value)
-    return found
 
 
 @dataclass(frozen=True)
@@ -337,7 +295,7 @@ def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
     def add(declared: _Class) -> _Class:
         target = f"{declared.__module__}:{declared.__qualname__}"
         row = Plugin(kind, name, target, "this process", defined=declared)
-        kind_named(kind)
+        base_of(kind)
         if not name.isidentifier():
             raise PluginError(f"{row} needs another name: one made of letters, digits and '_'")
         for other in catalog().declarations(kind, name):

@@ -1,14 +1,15 @@
-"""What is known of plugin packages without importing them: presets, files of weights, attributes of classes."""
+"""What is known of plugin packages without importing them: presets, files of weights, what a class is."""
 
+import ast
 import importlib.machinery
 import importlib.util
+import inspect
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from anystyle import paths
-from anystyle.registry.catalog import Plugin, PluginError, catalog, kinds, literals
+from anystyle.registry.catalog import Plugin, PluginError, catalog, kinds
 
 
 def source_file(module: str, root: Path | None) -> Path | None:
@@ -23,15 +24,24 @@ def source_file(module: str, root: Path | None) -> Path | None:
     return Path(origin) if origin.endswith(".py") else None
 
 
-def stated(plugin: Plugin, name: str) -> Any:
-    """A class attribute, read from the class's own body if that states it as a literal, else by importing the class."""
-    module, _, cls = plugin.target.partition(":")
+def first_line(plugin: Plugin) -> str:
+    """The first line of the docstring of a plugin's class, read from its source, for importing it may take seconds."""
+    module, _, name = plugin.target.partition(":")
+    text = plugin.defined and inspect.getdoc(plugin.defined)
     with suppress(OSError, SyntaxError, ValueError, ImportError):
-        file = source_file(module, plugin.root) if plugin.defined is None else None
-        found = {} if file is None else literals(file, cls)
-        if name in found:
-            return found[name]
-    return getattr(plugin.load(), name)
+        text = text or _docstring(module, name, plugin.root)
+    return text.partition("\n")[0] if text else f"(not described in {plugin.target})"
+
+
+def _docstring(module: str, name: str, root: Path | None) -> str | None:
+    """The docstring of a class in a module, or in one that the module imports it from."""
+    file = source_file(module, root) or source_file(module, None)
+    for statement in ast.parse(file.read_bytes()).body if file else ():
+        if isinstance(statement, ast.ClassDef) and statement.name == name:
+            return ast.get_docstring(statement)
+        if isinstance(statement, ast.ImportFrom) and name in (alias.name for alias in statement.names):
+            return _docstring(statement.module, name, root) if statement.module else None
+    return None
 
 
 def packages() -> list[Path]:

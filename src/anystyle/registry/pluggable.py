@@ -5,10 +5,7 @@ from typing import ClassVar
 
 
 class Pluggable:
-    """The base of contracts: what the plugins of a kind inherit from.
-
-    Those of the core write ``many`` and ``runtime`` as literals, which are read from their source, without an import.
-    """
+    """The base of contracts: what the plugins of a kind inherit from."""
 
     many: ClassVar[bool] = False
     """Whether a configuration holds several plugins of the kind at once."""

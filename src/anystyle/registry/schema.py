@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import msgspec
 
 from anystyle.errors import UserError, one_line
-from anystyle.registry.catalog import Plugin, PluginError, base_of, kind_named
+from anystyle.registry.catalog import Plugin, PluginError, base_of
 
 if typing.TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -72,7 +72,7 @@ def _signature(plugin: Plugin, constructor: Callable[..., None]) -> tuple[list[i
 def options(plugin: Plugin) -> tuple[Option, ...]:
     """What a configuration may set of a plugin, in the order of the signature."""
     parameters, hints = _constructor(plugin)
-    runtime = kind_named(plugin.kind).runtime
+    runtime = base_of(plugin.kind).runtime
     known: list[Option] = []
     for parameter in parameters:
         name = parameter.name
@@ -90,7 +90,7 @@ def options(plugin: Plugin) -> tuple[Option, ...]:
 def runtime_arguments(plugin: Plugin) -> dict[str, bool]:
     """The runtime arguments of its kind that a plugin's constructor names, and whether it requires each."""
     parameters, _ = _constructor(plugin)
-    runtime = kind_named(plugin.kind).runtime
+    runtime = base_of(plugin.kind).runtime
     return {item.name: item.default is item.empty for item in parameters if item.name in runtime}
 
 

@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text, read_yaml
 from anystyle.registry.builtin import OPTIONS
-from anystyle.registry.catalog import PluginError, catalog, kind_named, kinds
+from anystyle.registry.catalog import PluginError, base_of, catalog, kinds
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.schema import node
 
@@ -89,7 +89,7 @@ class PluginSource(ConfigSource):
             config = node(catalog().find(group, name))
         except PluginError as error:
             raise ConfigCompositionException(str(error)) from error
-        package = f"{group}.{name}" if kind_named(group).many else None
+        package = f"{group}.{name}" if base_of(group).many else None
         return ConfigResult(self.provider, self.full_path(), config, {"package": package})
 
     def _names(self, group: str) -> "list[str]":

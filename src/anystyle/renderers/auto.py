@@ -1,15 +1,13 @@
 """The renderer that chooses another by the device of the tensors."""
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
+from typing import Any
 
 from anystyle.contracts import LinearView, Renderer
 from anystyle.registry.build import build
 from anystyle.registry.catalog import PluginError, catalog
-from anystyle.registry.packages import stated
 from anystyle.renderers.rasterizer import RendererOptions
 from anystyle.types import Cameras, Gaussians, Renders
 
@@ -39,27 +37,16 @@ class AutoRenderer(RendererOptions, Renderer):
 
 @cache
 def best_renderer(device: str) -> str:
-    """The name of the renderer that ``auto`` takes for a type of device; decided once in a process.
-
-    Only that one is imported, of those that state their devices and their priority as literals.
-    """
+    """The name of the renderer that ``auto`` takes for a type of device; decided once in a process."""
     ranks: list[tuple[int, str]] = []
     for name in catalog().names("renderer"):
-        with _skipped(name):
-            plugin = catalog().find("renderer", name)
-            priority, devices = stated(plugin, "priority"), stated(plugin, "devices")
-            ranks += [(-priority, name)] if priority > 0 and (not devices or device in devices) else []
-    for _, name in sorted(ranks):
-        with _skipped(name):
-            catalog().find("renderer", name).load()
-            return name
-    raise PluginError(f"no renderer is for {device}")
-
-
-@contextmanager
-def _skipped(name: str) -> Iterator[None]:
-    """Go on without a renderer that is broken."""
-    try:
-        yield
-    except PluginError as error:
-        _log.warning("renderer=auto skips %s: %s", name, error)
+        try:
+            renderer: Any = catalog().find("renderer", name).load()
+        except PluginError as error:
+            _log.warning("renderer=auto skips %s: %s", name, error)
+            continue
+        if renderer.priority > 0 and (not renderer.devices or device in renderer.devices):
+            ranks.append((-renderer.priority, name))
+    if not ranks:
+        raise PluginError(f"no renderer is for {device}")
+    return min(ranks)[1]

@@ -92,12 +92,15 @@ def _style(plugin: Subject[Injector], batch: int, seed: int = 0) -> Float[Tensor
 def _trained(plugin: Subject[Injector]) -> Injector:
     """After a step towards random tokens, so that no direction of the error is 0; with the gradients of the second."""
     injector = plugin.build(dim=DIM, style_dim=STYLE_DIM, site=Site("head/tokens", DIM))
-    optimizer = torch.optim.Adam(injector.parameters(), lr=1e-2) if any(True for _ in injector.parameters()) else None
+    parameters = list(injector.parameters())
+    if not parameters:
+        return injector
+    optimizer = torch.optim.Adam(parameters, lr=1e-2)
     tokens, style = _tokens(4, 2, (3, 5), 5), _style(plugin, 4)
     with seeded(0):
-        for step in range(2 if optimizer else 0):
+        for step in range(2):
             injector.zero_grad()
             (injector(tokens, style).data - noise(tokens.data, 9)).square().mean().backward()
-            if optimizer and step == 0:
+            if step == 0:
                 optimizer.step()
     return injector

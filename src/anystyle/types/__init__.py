@@ -8,6 +8,6 @@ Conventions, everywhere: images are sRGB in [0, 1]; camera axes are OpenCV's (x 
 centre lies at +0.5; intrinsics are in pixels; ``a_from_b`` maps coordinates of b to coordinates of a.
 """
 
-import lazy_loader
+from anystyle import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy.stub(__name__, __file__)

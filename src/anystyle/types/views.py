@@ -56,10 +56,8 @@ class Views(Given):
         cameras: Where they are known.
         depth: Distance along the camera's z axis, where it is known; 0 where a pixel has none.
         names: One per view, the same for every scene of the batch; may be empty.
-        alpha: How much of a pixel is covered, in [0, 1]: where it is 0, nothing is there. The images are over white.
-            ``None`` is 1 everywhere.
-        counted: Where a photograph is to be learnt from; elsewhere it shows what is not part of the scene, such as
-            passers-by, and tells nothing of what is behind. ``None`` is everywhere.
+        alpha: Alpha in [0, 1]; the images are composited over white. ``None`` is 1 everywhere.
+        valid: Valid-pixel mask; pixels outside are ignored, such as those of passers-by. ``None`` is all pixels.
     """
 
     images: Float[Tensor, "B V 3 H W"]
@@ -67,7 +65,7 @@ class Views(Given):
     depth: Float[Tensor, "B V H W"] | None = None
     names: tuple[str, ...] = ()
     alpha: Float[Tensor, "B V H W"] | None = None
-    counted: Bool[Tensor, "B V H W"] | None = None
+    valid: Bool[Tensor, "B V H W"] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -76,7 +74,7 @@ class Views(Given):
 
     def select(self, views: list[int]) -> "Views":
         """Some of the views, in the order asked for."""
-        given = {name: getattr(self, name) for name in ("depth", "alpha", "counted")}
+        given = {name: getattr(self, name) for name in ("depth", "alpha", "valid")}
         return Views(
             images=self.images[:, views],
             cameras=None if self.cameras is None else self.cameras.select(views),
@@ -153,14 +151,13 @@ class SourceImage:
 
     @property
     def inside(self) -> tuple[int, int, int, int]:
-        """Left, top, right and bottom, in pixels of the view, of what the source shows; beside it is nothing known."""
+        """Left, top, right and bottom, in pixels of the view, of the part that the source covers."""
         left, top, right, bottom = self.box
-        (height, width), (tall, wide) = self.size, self.view_size
-        x, y = wide / (right - left), tall / (bottom - top)
-        return (
-            *(max(0, round(-left * x)), max(0, round(-top * y))),
-            *(min(wide, round((width - left) * x)), min(tall, round((height - top) * y))),
-        )
+        (height, width), (view_height, view_width) = self.size, self.view_size
+        x, y = view_width / (right - left), view_height / (bottom - top)
+        first_column, first_row = max(0, round(-left * x)), max(0, round(-top * y))
+        end_column, end_row = round((width - left) * x), round((height - top) * y)
+        return first_column, first_row, min(view_width, end_column), min(view_height, end_row)
 
     def source_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
         """Intrinsics in pixels of the view as intrinsics in pixels of the source."""

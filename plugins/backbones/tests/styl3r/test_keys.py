@@ -2,14 +2,12 @@
 
 import hashlib
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
 from anystyle.contracts import Backbone
-from anystyle.pipeline.load import PARTS, assemble
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle_backbones.published import renamed
@@ -86,27 +84,3 @@ def test_what_is_not_the_file_is_refused_in_one_line(change: Callable[[State], S
     with pytest.raises(ValueError, match=message) as caught:
         fresh().load_reference(change(lightning()))
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("learns", [False, True])
-def test_parts_share_the_tensors_of_their_file_unless_they_learn(tmp_path: Path, learns: bool) -> None:
-    file = tmp_path / "model.ckpt"
-    torch.save({"state_dict": lightning()}, file)
-    tiny = [
-        f"backbone.{key}={list(value) if isinstance(value, tuple) else value}" for key, value in reference.TINY.items()
-    ]
-    tiny += [f"style_encoder.{key}={value}" for key, value in reference.DIMS.items()]
-    config = compose("stylize", ["model=styl3r", *tiny, *(f"weights.{part}={file}" for part in PARTS)])
-    stylizer, found = assemble(config, learns=learns)
-    assert set(found) == set(PARTS)
-    head, branch = stylizer.backbone.gaussian_head, stylizer.branch
-    encoder = stylizer.style_encoder.get_parameter("encoder.norm.weight")
-    assert encoder.data_ptr() == head.get_parameter("style_encoder.norm.weight").data_ptr()
-    shared = (
-        branch.get_parameter("aggregator.norm.weight").data_ptr()
-        == head.get_parameter("stylizer.norm.weight").data_ptr()
-    )
-    assert shared is not learns
-    own = stylizer.backbone.state_dict()
-    for key, name in keys.published_names(own).items():
-        assert torch.equal(own[key].flatten(), reference.tiny_weights()[name].flatten()), name

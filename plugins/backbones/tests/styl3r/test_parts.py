@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from PIL import Image
 from torch import Tensor
 
 from anystyle.geometry.projection import covariances
@@ -17,7 +16,7 @@ from anystyle.testing.inputs import stylization
 from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.types import Attributes, Cameras, Geometry, Renders, Stylization, Tokens
 from anystyle.vision import networks, weights
-from anystyle.vision.preprocess import as_pillow, middle_squares
+from anystyle.vision.preprocess import middle_squares
 from anystyle_backbones.styl3r import Styl3r
 from anystyle_backbones.styl3r.losses import Identity
 from anystyle_backbones.styl3r.pointmaps import cameras_of, focal_of, points_of
@@ -89,21 +88,6 @@ def test_style_pictures_are_cut_as_published(name: str, index: int, shape: tuple
     oracle.check(middle_squares(pictures, 256)[0], GOLDEN["preprocessing"][name], "preprocessing")
     learnt = middle_squares(pictures.clone().requires_grad_(), 256)
     assert learnt.requires_grad and float((learnt.detach() - middle_squares(pictures, 256)).abs().mean()) < 0.02
-
-
-def test_photographs_are_cut_as_published() -> None:
-    """By Pillow as pictures are, with the lower middle and the size rounded: what a folder of them would have to do."""
-    record, side = GOLDEN["preprocessing"], 64
-    images = smooth_image(320, (2, 3, 90, 161))
-    scale = max(side / 90, side / 161)
-    height, width = round(90 * scale), round(161 * scale)
-    scaled = as_pillow(as_file(images), (height, width), Image.Resampling.LANCZOS)
-    top, left = (height - side) // 2, (width - side) // 2
-    oracle.check(scaled[..., top : top + side, left : left + side], record["images"], "preprocessing")
-    lenses = reference.lenses("K(322,[2])").clone()
-    lenses[:, 0, 0] *= width / side
-    lenses[:, 1, 1] *= height / side
-    oracle.check(lenses, record["intrinsics"], "preprocessing")
 
 
 class TestLosses:

@@ -12,7 +12,7 @@ from PIL import ExifTags, Image
 from anystyle.contracts import StoredCamera, Undistortion
 from anystyle.data.names import matched
 from anystyle.errors import UserError
-from anystyle.io.images import opened
+from anystyle.io.images import opened, stored_size
 from anystyle_captures.camera_files.lens import Lens
 
 _log = logging.getLogger(__name__)
@@ -78,11 +78,11 @@ def _upright(stored: StoredCamera, path: Path) -> StoredCamera:
     """The camera of the upright photograph, if that is stored lying on a side and the camera is of it as it lies."""
     try:
         with opened(path) as image:
-            orientation, lying = image.getexif().get(ExifTags.Base.Orientation), image.width > image.height
+            orientation, (across, down) = image.getexif().get(ExifTags.Base.Orientation), stored_size(image)
     except UserError:  # reading the photograph reports it
         return stored
     height, width = stored.size
-    if orientation not in (6, 8) or lying != (width > height):
+    if orientation not in (6, 8) or (across > down) != (width > height):
         return stored
     # Pixels of the upright photograph from those of the stored one, for a quarter turn clockwise or back.
     turn = np.array([[0.0, -1.0, height], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -126,14 +126,15 @@ def test_metashapes_chunk_is_brought_into_the_world(tmp_path):
     assert np.abs(positions).max() < 10
 
 
+@pytest.mark.parametrize("suffix", ["png", "tif"])
 @pytest.mark.parametrize("orientation", [6, 8])
-def test_photographs_that_lie_on_a_side_get_upright_cameras(tmp_path, orientation):
+def test_photographs_that_lie_on_a_side_get_upright_cameras(tmp_path, orientation, suffix):
     """A point is seen at the same place of the picture, whichever way it is held."""
     exif = Image.Exif()
     exif[0x0112] = orientation
     pixels = np.random.default_rng(0).integers(0, 255, (*SIZE, 3), dtype=np.uint8)
     (tmp_path / "images").mkdir()
-    images = [tmp_path / "images" / f"{number}.png" for number in range(3)]
+    images = [tmp_path / "images" / f"{number}.{suffix}" for number in range(3)]
     for image in images:
         Image.fromarray(pixels).save(image, exif=exif)
     model(tmp_path, images, LENS)

@@ -9,21 +9,22 @@ from PIL import Image, ImageEnhance
 from anystyle.contracts import Metric
 from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.evaluation.judge import judge_pairing
-from anystyle.evaluation.pairing import pair
+from anystyle.evaluation.pairing import Pairing, pair
 from anystyle.types import OnProgress
 
 
 class Folders(Protocol):
     """Judge stylized images of any method against their photographs and styles.
 
-    Stylized images are ``SCENE/STYLE/FRAME.png`` or ``SCENE/STYLE_FRAME.png``, of one scene also without its folder;
-    photographs are ``SCENE/FRAME.png``, styles ``STYLE.png``; or all three have the same names.
+    Photographs are ``SCENE/FRAME.png`` (of one scene also ``FRAME.png``), styles ``STYLE.png``.
 
     Args:
         content: A folder of photographs.
         style: A folder of style images.
         stylized: A folder of results.
         depth: A folder of depth maps ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` where cameras are known.
+        layout: How results are named, such as ``{scene}_{style}/*/{frame}``: names of photographs and styles, and any
+            text. ``None`` tries ``{scene}/{style}/{frame}``, ``{scene}/{style}_{frame}`` and ``{style}/{frame}``.
         missing: ``refuse`` judges nothing until every photograph has an image in every style; ``allow`` judges those
             that are there, and says what is missing.
     """
@@ -36,15 +37,20 @@ class Folders(Protocol):
         style: str,
         stylized: str,
         depth: str | None = None,
+        layout: str | None = None,
         missing: Literal["refuse", "allow"] = "refuse",
+        inputs: Pairing | None = None,
     ) -> None:
         self.metrics = metrics
-        folders = Path(content), Path(style), Path(stylized), None if depth is None else Path(depth)
-        self.pairing = pair(*folders, missing=missing)
+        self.pairing = inputs or self.check(
+            content=content, style=style, stylized=stylized, depth=depth, layout=layout, missing=missing
+        )
 
     @classmethod
-    def check(cls, **given: Any) -> None:
-        cls(metrics={}, **given)
+    def check(cls, **given: Any) -> Pairing:
+        content, style, stylized = (Path(given[name]) for name in ("content", "style", "stylized"))
+        depth = None if given["depth"] is None else Path(given["depth"])
+        return pair(content, style, stylized, depth, layout=given["layout"], missing=given["missing"])
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -70,10 +70,11 @@ class Tables(Protocol):
         frames: AtLeastOne = NUM_FRAMES,
         size: AtLeastOne = 448,
         missing: Literal["refuse", "allow"] = "refuse",
+        inputs: PaperFolder | None = None,
     ) -> None:
         self.stylizer, self.method = stylizer, method
         self.metrics = _metrics_of(metrics, table)
-        self.folder = _complete_folder(root, scene_names, num_styles, frames, guides, methods, missing)
+        self.folder = inputs or _complete_folder(root, scene_names, num_styles, frames, guides, methods, missing)
         self.guides: tuple[Literal["image", "text"], ...] = tuple(guides)
         if "text" in self.guides and not stylizer.style_encoder.reads_texts:
             self.guides = tuple(guide for guide in self.guides if guide != "text")
@@ -86,9 +87,9 @@ class Tables(Protocol):
             raise UserError("nothing is to be judged: name guides or methods, or give photographs=1")
 
     @classmethod
-    def check(cls, **given: Any) -> None:
+    def check(cls, **given: Any) -> PaperFolder:
         names = ("root", "scene_names", "num_styles", "frames", "guides", "methods", "missing")
-        _complete_folder(*(given[name] for name in names))
+        return _complete_folder(*(given[name] for name in names))
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

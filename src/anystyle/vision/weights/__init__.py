@@ -5,6 +5,6 @@ A missing file raises, and nothing is downloaded unless ``anystyle weights downl
 folder ``assets``.
 """
 
-import lazy_loader
+from anystyle import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy.stub(__name__, __file__)
