@@ -1,7 +1,6 @@
 """The app as people use it: Chromium adds files, types, waits, looks and downloads; the program is the real one."""
 
 import http.client
-import os
 import signal
 import subprocess
 import sys
@@ -63,12 +62,13 @@ def test_nothing_but_scenes_is_served(app, path):
     assert asked(app, path=path) == 404
 
 
-def test_a_port_that_is_taken_is_one_line(app, program, tmp_path):
+def test_a_port_that_is_taken_is_one_line(app):
     port = app.rstrip("/").rpartition(":")[2]
-    done = program(["app", "--port", port], folder=tmp_path, environment=dict(os.environ))
-    assert done.status == 2
-    assert done.err.startswith(f"anystyle: error: cannot answer at 127.0.0.1, port {port}: ")
-    assert done.err.count("\n") == 1
+    command = [sys.executable, "-m", "anystyle", "app", "--port", port]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"anystyle: error: cannot answer at 127.0.0.1, port {port}: ")
+    assert done.stderr.count("\n") == 1
 
 
 def test_from_a_splat_to_the_last_download(app, browser, page, errors, tmp_path):
