@@ -150,10 +150,9 @@ def test_command_is_understood(page, line):
     if command == "study":
         _study(*rest)
         return
-    if command in ("app", "profile", "view"):
+    if command in ("app", "view"):
         plugins = {
             "app": "app.command",
-            "profile": "benchmark.command_profile",
             "view": "viewer.command",
         }
         module = f"anystyle_{plugins[command]}"

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from plyfile import PlyData
+from plyfile import PlyData, PlyElement
 
 from anystyle.commands import export, film, stylize
 from anystyle.errors import UserError
@@ -101,3 +101,22 @@ def test_a_checkpoint_of_a_trainer_names_what_to_type(tmp_path, name):
     for read in (inputs_of, read_saved):
         with pytest.raises(UserError, match=r"is a checkpoint.*--save_ply.*ns-export gaussian-splat"):
             read(tmp_path / name)
+
+
+def test_the_camera_in_a_file_of_sharp_is_its_view(tmp_path):
+    """Elements behind the vertices hold the pose, the intrinsics and the size of the one photograph."""
+    images, cameras, _ = photographed_wall(3)
+    wall().save(tmp_path / "plain.ply")
+    height, width = cameras.size
+    values = {
+        "extrinsic": cameras.world_from_camera[0, 1].inverse().numpy().ravel(),
+        "intrinsic": cameras.intrinsics[0, 1].numpy().ravel(),
+        "image_size": np.array([width, height], np.uint32),
+    }
+    more = [PlyElement.describe(each.view([(name, each.dtype)]), name) for name, each in values.items()]
+    PlyData([PlyData.read(tmp_path / "plain.ply")["vertex"], *more]).write(tmp_path / "sharp.ply")
+    scene = read_saved(tmp_path / "sharp.ply")
+    assert scene.names == ("photograph",) and scene.cameras.size == cameras.size
+    with torch.no_grad():
+        assert (RENDERER(scene.styles[-1][1], scene.cameras).color[0, 0] - images[1]).abs().max() < 0.01
+    film.main([str(tmp_path / "sharp.ply"), "--out", str(tmp_path / "film.mp4"), "video.frames=2", "video.height=32"])

@@ -243,3 +243,25 @@ def test_cameras_that_see_nothing_are_told_or_refused(tmp_path, caplog):
     far.save(tmp_path / "scene.ply")
     with pytest.raises(UserError, match=r"none of the 3 cameras sees more than 1% .* splat\.folder=FOLDER"):
         encoded_file(tmp_path / "scene.ply", stylizer, *options)
+
+
+def floor(normal):
+    """Flat, level discs across an axis."""
+    generator = torch.Generator().manual_seed(0)
+    means, scales = torch.randn(1, 300, 3, generator=generator), torch.full((1, 300, 3), 0.05)
+    means[..., normal] *= 0.05
+    scales[..., normal] = 0.005
+    return Gaussians(
+        means, torch.eye(4)[:1].expand(1, 300, 4), scales, torch.full((1, 300), 0.9), torch.rand(1, 300, 1, 3)
+    )
+
+
+@pytest.mark.parametrize(("normal", "told"), [(1, "up is taken to be -y, and"), (2, "splat.up=z if renders lie")])
+def test_cameras_that_are_chosen_are_told_with_what_is_taken_for_up(tmp_path, caplog, normal, told):
+    """A floor across z is one of a scene whose z is up; what the file or its user says is not doubted."""
+    scene, path = alone(floor(normal)), tmp_path / "scene.ply"
+    for up, own, expected in ((None, "opencv", told), ("z", "z", ""), (None, "y", ""), ("opencv", "opencv", "")):
+        caplog.clear()
+        saved.cameras_of(path, scene, ViewOptions(), SplatOptions(cameras=2, up=up), 14, 56, own)
+        assert "no cameras are in scene.ply or beside it: 2 are chosen around the scene" in caplog.text
+        assert expected in caplog.text and ("splat.up" in caplog.text) == bool(expected)

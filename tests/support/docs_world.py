@@ -23,7 +23,8 @@ def make(folder: Path) -> None:
         for scene in ("photos", "SCENES/Train", "PHOTOS/Train", "scenes/one", "scenes/two"):
             _picture(folder / scene / f"{number:03d}.jpg", seed=0, shift=number)
     for seed, name in enumerate(
-        ("painting", "a", "b", "sea", "sky", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1"), start=1
+        ("painting", "a", "b", "sea", "sky", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1", "PAINTINGS/s0"),
+        start=1,
     ):
         _picture(folder / f"{name}.jpg", seed=seed)
     for number in range(3):

@@ -26,6 +26,7 @@ def test_a_smoke_run_learns_and_says_what_it_left(tmp_path):
     words = [
         "train", "experiment=tiny_reconstruction", "debug=smoke", *small, "scenes.num_scenes=2", "training.warmup=2",
         "training.learning_rate=0.003", "training.render_every=1", "trainer.precision=32-true",
+        "trainer.profiler=simple",
     ]  # fmt: skip
     done = program(words, tmp_path, os.environ)
     assert done.status == 0, done.err
@@ -34,7 +35,8 @@ def test_a_smoke_run_learns_and_says_what_it_left(tmp_path):
     with (tmp_path / "runs/smoke-tiny_reconstruction/log/version_0/metrics.csv").open() as file:
         losses = [float(row["train/loss"]) for row in csv.DictReader(file) if row["train/loss"]]
     assert sum(losses[-4:]) < 0.95 * sum(losses[:4])
-    assert done.err.splitlines()[-1].startswith("val/")
+    progress, _, report = done.err.partition("FIT Profiler Report")
+    assert progress.splitlines()[-1].startswith("val/") and "run_training_batch" in report
 
 
 def refused(capsys, *words: str) -> str:

@@ -1,5 +1,6 @@
 """A saved scene, which is a folder of results or a file of Gaussians: reading it, and cameras and views of it."""
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
@@ -7,6 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
@@ -19,6 +21,7 @@ from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render
@@ -34,6 +37,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
 from anystyle.vision import weights
 
+_log = logging.getLogger(__name__)
 UNSTYLED = "unstyled"
 CHOSEN = ("chosen", "chosen around the scene")
 """What a report says of cameras that are not those of photographs, since 0.2 and before."""
@@ -45,6 +49,15 @@ DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
+NOT_COMPENSATED = (
+    "renders here do not apply: Gaussians that are thinner than a pixel are too opaque in them. Files that are written "
+    "say that it was, where their format can: PLY, SPZ and SOG"
+)
+COUNTED = 100_000
+"""Gaussians, evenly spaced, that tell which axis is up."""
+FLAT, LEVEL = 0.5, 1.5
+"""A Gaussian is flat whose thinnest side is less than this share of the next; a floor has so many times as much of
+what is flat across the axis that is up as there is across another."""
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
@@ -90,9 +103,12 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
     if name := scene_format(path):
-        scene = build(Format, name, activated=activated).read(path)
-        notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
-        notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
+        reader = build(Format, name, activated=activated)
+        scene, beside = reader.read(path), path.with_suffix(path.suffix + ".txt")
+        more = read_text(beside).splitlines() if beside.is_file() else []
+        notes = scene.notes if reader.has_notes and scene.notes else tuple(dict.fromkeys([*scene.notes, *more]))
+        if scene.antialiased:
+            _log.warning("%s was trained with antialiasing, which %s", path, NOT_COMPENSATED)
         return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
@@ -213,7 +229,15 @@ def cameras_of(
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(covering(name, (side, side), (side, side)) for name in names)
-        return around(unstyled_of(saved), options.cameras, side), sources, "chosen"
+        gaussians = unstyled_of(saved)
+        _log.warning(
+            "no cameras are in %s or beside it: %d are chosen around the scene, some of them perhaps behind a wall; "
+            "splat.folder=FOLDER reads those of the photographs%s",
+            path.name,
+            options.cameras,
+            _doubt_of_up(gaussians) if options.up is None and own_up == "opencv" else "",
+        )
+        return around(gaussians, options.cameras, side), sources, "chosen"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
     whole = stored[names[chosen[0]]].size
@@ -222,6 +246,22 @@ def cameras_of(
     sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
     return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
+
+
+def _doubt_of_up(gaussians: Gaussians) -> str:
+    """What to type if up is not -y, OpenCV's, where flat Gaussians, as of a floor, lie across another axis."""
+    every = max(1, gaussians.means.shape[1] // COUNTED)
+    gaussians = gaussians.map(lambda tensor: tensor[:, ::every])
+    turned = matrix_from_wxyz(F.normalize(gaussians.rotations[0].double(), dim=-1))  # N 3 3
+    scales, thinnest = gaussians.scales[0].double().sort(dim=1)
+    normals = turned.gather(2, thinnest[:, None, :1].expand(-1, 3, 1))[..., 0]  # N 3
+    # Round Gaussians have no normal, and large ones are more of the surface, though the largest may be sky.
+    area = scales[:, 1] * scales[:, 2]
+    weights = gaussians.opacities[0] * area.clamp(max=float(area.quantile(0.9))) * (scales[:, 0] < FLAT * scales[:, 1])
+    shares = (weights[:, None] * normals**4).sum(0)
+    if not shares.sum() or shares[2] < LEVEL * shares[1]:
+        return "; up is taken to be -y, and splat.up=y or splat.up=z says that it is another axis"
+    return "; its surfaces lie mostly across z, and up is taken to be -y: splat.up=z if renders lie on their side"
 
 
 def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
