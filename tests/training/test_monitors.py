@@ -20,7 +20,7 @@ from tests.support.training_cases import STYLIZATION, configuration
 
 TRACKED = (*STYLIZATION, "loggers=[tensorboard]", "training.preview_every=10", 'training.preview_texts=["red dots"]')
 TOLERANCE = 1e-3
-"""Relative, of losses. Two threads in place of one change them by 1e-4; a learning rate 1 % higher, by more than this."""
+"""Relative. Two threads in place of one change losses by 1e-4; a learning rate 1 % higher, by more than this."""
 
 
 @pytest.fixture(scope="module")
