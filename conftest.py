@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.support.program import Program
-
 pytest_plugins = ("tests.support.browser",)
 
 os.environ["ANYSTYLE_CACHE"] = "off"
@@ -49,10 +47,3 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number in range(3):
         Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG {number}.png")
     return folder
-
-
-@pytest.fixture(scope="session")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Program:
-    """The program, started already; one for all workers."""
-    base: Path = tmp_path_factory.getbasetemp()
-    return Program(base.parent if "PYTEST_XDIST_WORKER" in os.environ else base)

@@ -1,11 +1,14 @@
 """The formats of Gaussian scenes that come with the core: 3DGS PLY, as :mod:`anystyle.io.ply` reads and writes it."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
+
+import torch
 
 from anystyle.contracts import Format
 from anystyle.io import ply
-from anystyle.types import Gaussians, StyledScene
+from anystyle.types import ANTIALIASED, Cameras, Gaussians, StyledScene
 
 _UP = {"opencv": (0.0, -1.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -34,11 +37,21 @@ class Ply(Format):
         offsets = {note: match for note in notes if (match := re.fullmatch(rf"offset([xyz])\s+({_NUMBER})", note))}
         said = {match[1]: float(match[2]) for match in offsets.values()}
         x, y, z = (moved + said.get(axis, 0.0) for axis, moved in zip("xyz", loaded.offset, strict=True))
-        others = tuple(note for note in notes if note not in axes and note not in offsets)
+        others = tuple(
+            ANTIALIASED if note.lower() == ANTIALIASED.lower() else note
+            for note in notes
+            if note not in axes and note not in offsets
+        )
         gaussians = Gaussians(*(tensor[None] for tensor in loaded.splats))
-        return StyledScene(
+        scene = StyledScene(
             ((path.stem, gaussians),), notes=others, up=_axes(axes[-1] if axes else ""), offset=(x, y, z)
         )
+        if loaded.camera is None:
+            return scene
+        pose = loaded.camera.camera_from_world.inverse()
+        pose[:3, 3] -= torch.tensor(loaded.offset)
+        cameras = Cameras(pose[None, None], loaded.camera.intrinsics[None, None], loaded.camera.size)
+        return replace(scene, cameras=cameras, names=("photograph",))
 
 
 def comments(scene: StyledScene) -> list[str]:

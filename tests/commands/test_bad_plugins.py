@@ -1,12 +1,16 @@
 """Bad plugins in use, by the program as people start it: one line that says what is wrong with which, and status 2."""
 
-import os
+import json
+import subprocess
+import sys
+from pathlib import Path
 from textwrap import dedent
 
 import numpy as np
 import pytest
 from PIL import Image
 
+ROOT = Path(__file__).parents[2]
 TOY = """
 from dataclasses import replace
 
@@ -47,33 +51,39 @@ BAD = {
 """Code, and what is said of it."""
 
 
+RUN = """
+import json, os, sys
+from pathlib import Path
+from tests.support.program import program
+root, words, *names = sys.argv[1:]
+ended = {}
+for name in names:
+    done = program(words.split(), Path(root), {**os.environ, "ANYSTYLE_PLUGINS": str(Path(root, name))})
+    ended[name] = done.status, done.err
+print(json.dumps(ended))
+"""
+WORDS = "stylize photo.png --text dots ~model backbone=mine views.short_side=56 video.frames=2"
+
+
 @pytest.fixture(scope="module")
-def use(tmp_path_factory, program):
-    """Run commands in a folder with a photograph, where ``ANYSTYLE_PLUGINS`` is a folder of one plugin."""
+def ended(tmp_path_factory) -> dict[str, tuple[int, str]]:
+    """The status and the errors of the program with each plugin, in a process in which nothing else checks types."""
     root = tmp_path_factory.mktemp("bad")
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (56, 72, 3), dtype=np.uint8)).save(root / "photo.png")
-
-    def run(name, code, *words):
+    for name, (code, _) in BAD.items():
         folder = root / name / "plugin"
         folder.mkdir(parents=True)
         (folder / f"bad_{name}.py").write_text(dedent(code))
         line = f'mine = "bad_{name}:Mine"'
         (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.backbone"]\n{line}\n')
-        environment = {**os.environ, "OMP_NUM_THREADS": "1", "ANYSTYLE_PLUGINS": str(root / name)}
-        environment.pop("ANYSTYLE_TRACEBACK", None)
-        return program(list(words), folder=root, environment=environment)
-
-    return run
-
-
-WORDS = ("stylize", "photo.png", "--text", "dots", "~model", "backbone=mine", "views.short_side=56", "video.frames=2")
+    command = [sys.executable, "-c", RUN, str(root), WORDS, *BAD]
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_backbone_ends_in_one_line_about_it(name, use):
-    code, told = BAD[name]
-    done = use(name, code, *WORDS)
-    assert done.status == 2, done.err
-    lines = (line for line in done.err.splitlines() if not line.endswith("…"))
+def test_a_bad_backbone_ends_in_one_line_about_it(name, ended):
+    status, errors = ended[name]
+    assert status == 2, errors
+    lines = (line for line in errors.splitlines() if not line.endswith("…"))
     (line,) = (line for line in lines if " is untrained and " not in line)
-    assert line.startswith("anystyle: error: ") and told in line
+    assert line.startswith("anystyle: error: ") and BAD[name][1] in line

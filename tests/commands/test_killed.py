@@ -63,7 +63,7 @@ def test_a_killed_evaluation_is_continued_to_the_same_result(tmp_path):
         for _ in range(3):
             process = begin(name)
             time.sleep(draw.uniform(0, seconds))
-            if process.is_alive():
+            if process.is_alive() and process.pid is not None:
                 os.kill(process.pid, number)
             assert ended(process, 60) in (0, -number, 128 + number)
         output = (tmp_path / f"{name}.txt").read_text()

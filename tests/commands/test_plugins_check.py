@@ -9,6 +9,7 @@ from textwrap import dedent
 import pytest
 
 from anystyle.commands import plugins_check
+from tests.support.program import program
 
 IMPORTS = """
 from dataclasses import replace
@@ -136,11 +137,11 @@ def test_a_good_plugin_ends_with_0(capsys):
     assert lines[-1].startswith(f"{len(lines) - 2} promises kept, in ")
 
 
-def test_exit_statuses_reach_the_shell(tmp_path, program):
+def test_exit_statuses_reach_the_shell(tmp_path):
     write(tmp_path, "wordless", "placement", BAD["undescribed"][1])
     environment = {**os.environ, "ANYSTYLE_PLUGINS": str(tmp_path)}
     for name, status in (("wordless", 2), ("nobody", 2)):
-        done = program(["plugins", "check", "placement", name], folder=tmp_path, environment=environment)
+        done = program(["plugins", "check", "placement", name], tmp_path, environment)
         assert done.status == status, done.out + done.err
         assert "Traceback" not in done.err
     assert done.err.startswith("anystyle: error: no placement is named 'nobody'.")

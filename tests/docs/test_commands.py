@@ -24,7 +24,7 @@ from tests.support.docs_cases import (
     small,
     told,
 )
-from tests.support.program import Done, Program
+from tests.support.program import Done, program
 
 MORE = {
     "docs/add_a_plugin.md": world.of_plugins,
@@ -44,8 +44,8 @@ LINES = [(named(page), line) for page in PAGES for line in shown(page)]
 class Reader:
     """Types the commands of one page."""
 
-    def __init__(self, page: str, folder: Path, program: Program) -> None:
-        self.page, self.folder, self.program = page, folder, program
+    def __init__(self, page: str, folder: Path) -> None:
+        self.page, self.folder = page, folder
         self.environment = {key: value for key, value in os.environ.items() if not key.startswith("ANYSTYLE_")}
         self.environment |= {
             "OMP_NUM_THREADS": "1",
@@ -54,23 +54,23 @@ class Reader:
         }
 
     def types(self, line: str) -> Done:
-        """Run a command in the way that is cheapest for it."""
+        """Run a command, in this process where that can be."""
         words = small(self.page, line)
         if self.page == "README.md" and (self.folder / "plugins").is_dir():
             # Its reader is in the checkout, where this folder is looked into anyway.
             self.environment["ANYSTYLE_PLUGINS"] = "plugins"
         if words[0] == "export":
             self.environment |= dict([words[1].split("=", 1)])
-            return Done(0, "", "", 0.0)
+            return Done(0, "", "")
         if words[0] == "anystyle" and not any(word.startswith("hydra/launcher") for word in words):
-            done = self.program(words[1:], folder=self.folder, environment=self.environment)
+            done = program(words[1:], self.folder, self.environment)
             if words[1:3] == ["study", "form"]:
                 world.answer_study(self.folder)
             return done
         # The jobs of a launcher are processes of their own: what launches them must be the program.
         words = [sys.executable, "-m", *words] if words[0] == "anystyle" else words
         done = subprocess.run(words, capture_output=True, text=True, cwd=self.folder, env=self.environment)
-        return Done(done.returncode, done.stdout, done.stderr, 0.0)
+        return Done(done.returncode, done.stdout, done.stderr)
 
 
 @pytest.mark.parametrize(
@@ -80,10 +80,10 @@ class Reader:
         for page in sorted({page for page, line in LINES if reason(line) is None})
     ],
 )
-def test_commands_of_a_page_run(page, tmp_path, program):
+def test_commands_of_a_page_run(page, tmp_path):
     world.make(tmp_path)
     MORE.get(page, lambda folder: None)(tmp_path)
-    reader = Reader(page, tmp_path, program)
+    reader = Reader(page, tmp_path)
     for line in BEFORE.get(page, ()):
         assert reader.types(line).status == 0
     wrong = []

@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from anystyle.__main__ import available
 from anystyle.cli.arguments import parse, split
 from anystyle.commands.plugins_new import write
-from anystyle.evaluation.run import FOLDERS, completed
+from anystyle.evaluation.run import Images
 from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
 from tests.support.docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
@@ -150,10 +150,9 @@ def test_command_is_understood(page, line):
     if command == "study":
         _study(*rest)
         return
-    if command in ("app", "profile", "view"):
+    if command in ("app", "view"):
         plugins = {
             "app": "app.command",
-            "profile": "benchmark.command_profile",
             "view": "viewer.command",
         }
         module = f"anystyle_{plugins[command]}"
@@ -191,8 +190,8 @@ def _compose(command, module, words):
         arguments, overrides = split(module.parser(), words)
         overrides = [word for word in overrides if "=" in word or word.startswith("~")]
         if command == "evaluate":
-            folders = {name: value for name in FOLDERS if (value := getattr(arguments, name)) is not None}
-            overrides = completed(overrides, folders, arguments.trained)
+            given = (getattr(arguments, name) for name in ("content", "style", "stylized", "depth", "layout"))
+            overrides = [*(Images.WORDS if Images.of(*given) is not None else ()), *overrides]
     parsed = OverridesParser.create().parse_overrides(overrides)
     choices = [
         [

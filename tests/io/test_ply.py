@@ -6,6 +6,7 @@ import pytest
 import torch
 from plyfile import PlyData, PlyElement
 
+from anystyle.io import ply
 from anystyle.types import Gaussians
 from tests.support.ply_files import BASE, write_ply
 
@@ -101,3 +102,26 @@ def test_degrees_beyond_those_of_viewers_are_read(tmp_path, coefficients):
     values = {"opacity": np.zeros(5), **{f"f_rest_{index}": rest[:, index] for index in range(rest.shape[1])}}
     path = write_ply(tmp_path / "scene.ply", {name: np.ones(5) for name in BASE} | values)
     torch.testing.assert_close(Gaussians.load(path).harmonics[:, :, 1:], gaussians.harmonics[:, :, 1:])
+
+
+def test_the_filter_of_mip_splatting_is_applied(tmp_path, caplog):
+    """Variances add up, and opacities fall by the ratio of volumes; a copy in other colours keeps both as they are."""
+    given = Gaussians(
+        torch.randn(1, 5, 3), torch.eye(4)[:1].expand(1, 5, 4), torch.full((1, 5, 3), 0.01), torch.full((1, 5), 0.8),
+        torch.randn(1, 5, 1, 3),
+    )  # fmt: skip
+    given.save(tmp_path / "plain.ply")
+    data = PlyData.read(tmp_path / "plain.ply")["vertex"].data
+    wider = np.empty(len(data), dtype=[*data.dtype.descr, ("filter_3D", "f4")])
+    for name in data.dtype.names:
+        wider[name] = data[name]
+    wider["filter_3D"] = [0.0, 0.01, 0.02, 0.01, np.nan]
+    PlyData([PlyElement.describe(wider, "vertex")]).write(tmp_path / "mip.ply")
+    read = Gaussians.load(tmp_path / "mip.ply")
+    width = torch.tensor([0.0, 0.01, 0.02, 0.01, 0.0])
+    torch.testing.assert_close(read.scales[0, :, 0], (0.01**2 + width**2).sqrt())
+    torch.testing.assert_close(read.opacities[0], 0.8 * (0.01**2 / (0.01**2 + width**2)) ** 1.5)
+    assert "filter_3D, as Mip-Splatting writes it, is applied" in caplog.text
+    assert ply.recolor(tmp_path / "mip.ply", given.harmonics[0] + 1, tmp_path / "copy.ply")
+    copy = Gaussians.load(tmp_path / "copy.ply")
+    assert torch.equal(copy.scales, read.scales) and torch.equal(copy.opacities, read.opacities)

@@ -52,7 +52,7 @@ def test_tensors_are_a_comparison(name, tmp_path):
 
 
 def test_the_door_is_cheap_and_says_what_it_lacks():
-    code = "import sys, anystyle.metrics; print('torch' in sys.modules, 'Sharpness' in dir(anystyle.metrics))"
+    code = "import sys, anystyle.metrics; print('torch' in sys.modules, 'CSD' in dir(anystyle.metrics))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "True"]
     with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):

@@ -13,7 +13,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.testing.inputs import comparison
 from anystyle.testing.metric import build
 from anystyle.testing.subject import seeded, subject
-from tests.support.processes import forking
+from tests.support.processes import new
 
 pytestmark = pytest.mark.slow
 METRICS = catalog().names("metric")
@@ -71,8 +71,7 @@ def by_two(tmp_path_factory):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    context = forking()
-    processes = [context.Process(target=_process, args=(rank, 2, port, folder), daemon=True) for rank in range(2)]
+    processes = [new.Process(target=_process, args=(rank, 2, port, folder), daemon=True) for rank in range(2)]
     for process in processes:
         process.start()
     for process in processes:

@@ -18,11 +18,9 @@ from tests.support.notebooks import FOLDER, NAMES, execute, stored, text
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name.startswith("05") else [pytest.mark.slow]) for name in NAMES]
 )
-def test_notebook_runs(name, tmp_path, monkeypatch, program):
+def test_notebook_runs(name, tmp_path, monkeypatch):
     pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
-    # Commands of a notebook are those of this environment, started already.
-    commands = [program.install(tmp_path / "bin"), Path(sys.executable).parent]
-    monkeypatch.setenv("PATH", os.pathsep.join([*map(str, commands), os.environ["PATH"]]))
+    monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     assert not _wrong(execute(name, tmp_path))
 

@@ -10,9 +10,10 @@ from plyfile import PlyData, PlyElement
 
 import anystyle
 from anystyle.commands import stylize
+from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
-from anystyle.methods.colors import fit_colors
+from anystyle.methods.colors import covering_views, fit_colors
 from anystyle.pipeline import saved
 from anystyle.pipeline.encode import BYTES, BYTES_A_PIXEL, encode, require_splat
 from anystyle.pipeline.export import export
@@ -211,3 +212,56 @@ def test_results_say_whether_cameras_are_those_of_photographs(tmp_path):
     transforms(tmp_path, photographed_wall(3)[1])
     stylize.main([str(tmp_path / "scene.ply"), *short, "--out", str(tmp_path / "stored")])
     assert read_saved(tmp_path / "stored").photographed
+
+
+def test_harmonics_that_are_dropped_are_told_once(tmp_path, caplog):
+    glossy(degree=2).save(tmp_path / "scene.ply")
+    for keep in (False, True):
+        caplog.clear()
+        words = ["views.short_side=28", "splat.cameras=2", "video.frames=2", f"method.keep_harmonics={keep}"]
+        out = ["--text", "red dots", "--text", "blue", "--out", str(tmp_path / f"{keep}")]
+        stylize.main([str(tmp_path / "scene.ply"), *out, *words])
+        told = [line for line in caplog.messages if "harmonics" in line]
+        line = "harmonics of degree 1 to 2 of the given scene are dropped; method.keep_harmonics=true keeps them"
+        assert told == ([] if keep else [line])
+
+
+def test_cameras_that_see_nothing_are_told_or_refused(tmp_path, caplog):
+    """Of another scene, or in another frame; in between, the one that looks away is named."""
+    cameras = rig(3)
+    away = replace(cameras, world_from_camera=cameras.world_from_camera.clone())
+    away.world_from_camera[0, 1, :3, :3] @= torch.diag(torch.tensor([-1.0, 1.0, -1.0]))
+    wall().save(tmp_path / "scene.ply")
+    transforms(tmp_path, away)
+    stylizer, options = anystyle.load(), (ViewOptions(short_side=28), SplatOptions(cameras=3))
+    encoded = encoded_file(tmp_path / "scene.ply", stylizer, *options)
+    assert "1 of 3 cameras see less than 1% of the scene (1); splat.folder=FOLDER" in caplog.text
+    far = replace(wall(), means=wall().means + 1000)
+    targets = encoded.views.images[0]
+    assert fit_colors(far, encoded.cameras, targets, RENDERER).harmonics.isfinite().all()
+    assert len(covering_views(far, encoded.cameras, RENDERER, share=0.9, most=3)) == 1
+    far.save(tmp_path / "scene.ply")
+    with pytest.raises(UserError, match=r"none of the 3 cameras sees more than 1% .* splat\.folder=FOLDER"):
+        encoded_file(tmp_path / "scene.ply", stylizer, *options)
+
+
+def floor(normal):
+    """Flat, level discs across an axis."""
+    generator = torch.Generator().manual_seed(0)
+    means, scales = torch.randn(1, 300, 3, generator=generator), torch.full((1, 300, 3), 0.05)
+    means[..., normal] *= 0.05
+    scales[..., normal] = 0.005
+    return Gaussians(
+        means, torch.eye(4)[:1].expand(1, 300, 4), scales, torch.full((1, 300), 0.9), torch.rand(1, 300, 1, 3)
+    )
+
+
+@pytest.mark.parametrize(("normal", "told"), [(1, "up is taken to be -y, and"), (2, "splat.up=z if renders lie")])
+def test_cameras_that_are_chosen_are_told_with_what_is_taken_for_up(tmp_path, caplog, normal, told):
+    """A floor across z is one of a scene whose z is up; what the file or its user says is not doubted."""
+    scene, path = alone(floor(normal)), tmp_path / "scene.ply"
+    for up, own, expected in ((None, "opencv", told), ("z", "z", ""), (None, "y", ""), ("opencv", "opencv", "")):
+        caplog.clear()
+        saved.cameras_of(path, scene, ViewOptions(), SplatOptions(cameras=2, up=up), 14, 56, own)
+        assert "no cameras are in scene.ply or beside it: 2 are chosen around the scene" in caplog.text
+        assert expected in caplog.text and ("splat.up" in caplog.text) == bool(expected)

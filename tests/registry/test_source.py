@@ -1,6 +1,5 @@
 """The catalog seen through Hydra."""
 
-import re
 from itertools import count
 
 import pytest
@@ -83,30 +82,6 @@ def test_many_stand_side_by_side(composed):
 
 
 @pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("placement=deeep", "Could not find 'placement/deeep'"),
-        ("placement.dpeth=3", "Key 'dpeth' not in 'Deep'"),
-        ("placement.depth=deep", "Value 'deep' of type 'str' could not be converted to Integer"),
-        ("placement.attention=maths", "Invalid value 'maths', expected one of"),
-        ("placement=typo", "In 'placement/typo': .*Key 'dpeth' not in 'Deep'"),
-        ("loss.two.weight=3", "two"),
-    ],
-)
-def test_mistakes_end_at_composition(composed, override, message):
-    with pytest.raises(HydraException) as caught:
-        composed(override)
-    assert re.search(message, f"{caught.value} {caught.value.__cause__}", re.DOTALL)
-
-
-def test_broken_plugin_is_told_when_chosen(composed, plugin_folder):
-    plugin_folder("import does_not_exist_anywhere", broken="Broken")
-    assert composed().placement.depth == 2
-    with pytest.raises(HydraException, match=r"placement 'broken' .* cannot be imported: ModuleNotFoundError: No mod"):
-        composed("placement=broken")
-
-
-@pytest.mark.parametrize(
     ("saved", "message"),
     [
         ({"branch": {"_target_": "os.system"}}, r"file: branch\._target_ is 'os\.system', which is not a registered"),
@@ -165,13 +140,6 @@ def test_a_preset_of_two_packages_is_refused_when_chosen(composed, package):
         package("placement/shallow.yaml", f"defaults: [deep, _self_]\ndepth: {depth}\n")
     with pytest.raises(HydraException, match="placement=shallow is declared more than once"):
         composed("placement=shallow")
-
-
-def test_two_of_one_name_are_told_when_chosen(composed, plugin_folder):
-    plugin_folder(PLACEMENTS, deep="Deep")
-    assert composed("placement=head").placement._target_.endswith("Head")
-    with pytest.raises(HydraException, match="placement 'deep' is declared more than once"):
-        composed()
 
 
 def test_composed_configurations_can_be_written(composed):

@@ -108,8 +108,8 @@ def _texture(shape: tuple[int, int], seed: int, sigma: float = 3.0) -> np.ndarra
 
 def _write_geometry(folder: Path, stems: Sequence[str]) -> None:
     folder.mkdir(parents=True)
-    for stem in stems:
-        np.save(folder / f"{stem}.npy", np.full((HEIGHT, WIDTH), DEPTH, np.float32))
+    depth = np.full((HEIGHT, WIDTH), DEPTH, np.float32)
+    np.savez_compressed(folder / "depth.npz", allow_pickle=False, **dict.fromkeys(stems, depth))
     poses = torch.eye(4).repeat(1, len(stems), 1, 1)
     poses[0, :, 0, 3] = torch.arange(len(stems)) * STEP * DEPTH / FOCAL
     camera = torch.tensor([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])

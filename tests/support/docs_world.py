@@ -23,15 +23,16 @@ def make(folder: Path) -> None:
         for scene in ("photos", "SCENES/Train", "PHOTOS/Train", "scenes/one", "scenes/two"):
             _picture(folder / scene / f"{number:03d}.jpg", seed=0, shift=number)
     for seed, name in enumerate(
-        ("painting", "a", "b", "sea", "sky", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1"), start=1
+        ("painting", "a", "b", "sea", "sky", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1", "PAINTINGS/s0"),
+        start=1,
     ):
         _picture(folder / f"{name}.jpg", seed=seed)
     for number in range(3):
         _mask(folder / "sky_masks" / f"{number:03d}.png")
     for style, seed in (("s0", 20), ("s1", 21)):
         for frame in range(3):
-            for place in ("results", "RESULTS/Train"):
-                _picture(folder / place / f"{style}_{frame:03d}.png", seed=seed, shift=frame)
+            for name in (f"results/{style}/{frame:03d}", f"RESULTS/Train/{style}_{frame:03d}"):
+                _picture(folder / f"{name}.png", seed=seed, shift=frame)
     _splat(folder / "scene.ply")
     captions = [{"image": f"s{n}.jpg", "text": text} for n, text in enumerate(("red waves", "blue dots"))]
     (folder / "STYLES" / "captions.jsonl").write_text("".join(f"{json.dumps(one)}\n" for one in captions))

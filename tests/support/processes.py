@@ -1,4 +1,4 @@
-"""Trainings and commands in processes forked from one that has imported everything: they start in a moment."""
+"""Trainings and commands in processes of their own."""
 
 import multiprocessing
 import os
@@ -6,38 +6,20 @@ import resource
 import socket
 import sys
 from collections.abc import Mapping, Sequence
-from multiprocessing import forkserver
-from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 MEMORY = 8 << 30
 """Bytes that a command may take."""
-PRELOADED = ("tests.support.warm", "tests.support.training_cases")
-
-
-def forking() -> ForkServerContext:
-    """Where processes are forked that have imported :data:`PRELOADED`."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(PRELOADED))
-    before = os.environ.get("PYTHONPATH")
-    # Python 3.11 looks for what is to be preloaded there alone, and is silent where it finds nothing.
-    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
-    try:
-        forkserver.ensure_running()
-    finally:
-        if before is None:
-            del os.environ["PYTHONPATH"]
-        else:
-            os.environ["PYTHONPATH"] = before
-    return context
+new = multiprocessing.get_context("spawn")
+"""Where processes begin that share nothing with this one."""
 
 
 def start(
     words: Sequence[str], out: Path, environment: Mapping[str, str] | None = None, largest: int | None = None
 ) -> BaseProcess:
     """A training at work, or about to be; no file that it writes may have more than ``largest`` bytes."""
-    process = forking().Process(target=_train, args=(tuple(words), out, dict(environment or {}), largest), daemon=True)
+    process = new.Process(target=_train, args=(tuple(words), out, dict(environment or {}), largest), daemon=True)
     process.start()
     return process
 
@@ -46,7 +28,7 @@ def command(
     words: Sequence[str], folder: Path, output: Path, environment: Mapping[str, str] | None = None
 ) -> BaseProcess:
     """``anystyle WORDS`` at work in a folder; both streams go to ``output``."""
-    process = forking().Process(target=_command, args=(tuple(words), folder, output, dict(environment or {})))
+    process = new.Process(target=_command, args=(tuple(words), folder, output, dict(environment or {})))
     process.start()
     return process
 
@@ -85,7 +67,6 @@ def _command(words: Sequence[str], folder: Path, output: Path, environment: Mapp
 
 
 def _train(words: Sequence[str], out: Path, environment: Mapping[str, str], largest: int | None) -> None:
-    assert "tests.support.warm" in sys.modules, "the process was not forked from one that has imported everything"
     import torch
 
     from anystyle.cli.run import run

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import nn
 
-from anystyle.training.callbacks import MovingAverage, RunCheckpoint, StepSeed
+from anystyle.training.callbacks import STOPS, MovingAverage, RunCheckpoint, StepSeed, requeue
 from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
 from anystyle.training.safeguards import SkipOutliers
 
@@ -64,7 +64,9 @@ def test_the_average_is_the_one_of_its_definition():
     assert torch.equal(again.weights["weight"], average.weights["weight"])
 
 
-def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path):
+@pytest.mark.parametrize("name", [each.name for each in STOPS if each != signal.SIGINT])
+def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path, name, monkeypatch):
+    monkeypatch.delenv("SLURM_JOB_ID", raising=False)
     keeper, steps = RunCheckpoint(tmp_path / "last.ckpt", every_steps=2), []
     trainer = at()
     trainer.callback_metrics = {}
@@ -75,10 +77,35 @@ def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path):
     for batch, step in enumerate([0, 1, 1, 2, 2, 3]):
         trainer.global_step = step
         if batch == 4:
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.Signals[name])
         keeper.on_train_batch_end(trainer, Module(), None, None, batch)
     keeper.on_train_end(trainer, Module())
-    assert steps == [2, 3] and keeper.stopped_by == "SIGTERM"
+    assert steps == [2, 3] and keeper.stopped_by == name
+
+
+@pytest.mark.parametrize(
+    ("job", "asked"),
+    [
+        ({"SLURM_JOB_ID": "77"}, "requeue 77"),
+        ({"SLURM_JOB_ID": "78", "SLURM_ARRAY_JOB_ID": "77", "SLURM_ARRAY_TASK_ID": "3"}, "requeue 77_3"),
+    ],
+)
+def test_a_job_of_slurm_is_requeued(tmp_path, monkeypatch, job, asked):
+    program = tmp_path / "scontrol"
+    program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/asked\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    for name, value in job.items():
+        monkeypatch.setenv(name, value)
+    requeue()
+    assert (tmp_path / "asked").read_text().strip() == asked
+
+
+def test_a_job_that_cannot_be_requeued_is_told_of(monkeypatch, caplog):
+    monkeypatch.setenv("SLURM_JOB_ID", "77")
+    monkeypatch.setenv("PATH", "")
+    requeue()
+    assert "job 77 could not be requeued" in caplog.text
 
 
 def test_a_process_that_another_ones_signal_stops_saves_with_it_once(tmp_path):
@@ -140,3 +167,23 @@ def test_matrices_decay_and_vectors_do_not():
     assert matrices["weight_decay"] == 0.1 and matrices["params"] == [module[0].weight]
     assert vectors["weight_decay"] == 0.0 and len(vectors["params"]) == 2
     assert len(trainable([module, module])) == 3
+
+
+def test_the_handler_of_a_launcher_follows_the_checkpoint(tmp_path, monkeypatch):
+    """submitit requeues its jobs at SIGUSR2."""
+    seen: list[int] = []
+    before = signal.signal(signal.SIGUSR2, lambda number, frame: seen.append(number))
+    try:
+        keeper, trainer = RunCheckpoint(tmp_path / "last.ckpt"), at(1)
+        trainer.callback_metrics = {}
+        trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision
+        trainer.save_checkpoint.side_effect = lambda path: path.write_bytes(b"")
+        keeper.on_train_start(trainer, Module())
+        os.kill(os.getpid(), signal.SIGUSR2)
+        trainer.global_step = 2
+        keeper.on_train_batch_end(trainer, Module(), None, None, 0)
+        assert (tmp_path / "last.ckpt").is_file() and seen == []
+        keeper.on_train_end(trainer, Module())
+        assert seen == [signal.SIGUSR2]
+    finally:
+        signal.signal(signal.SIGUSR2, before)

@@ -17,23 +17,26 @@ from anystyle.registry.compose import compose
 from anystyle.training.resume import bound
 from anystyle.training.stylization import StylizationTraining
 from anystyle.training.trainer import make_trainer
+from tests.support.program import program
 from tests.support.training_cases import BACKBONE, STYLIZATION, configuration
 
 
-def test_a_smoke_run_learns_and_says_what_it_left(tmp_path, program):
+def test_a_smoke_run_learns_and_says_what_it_left(tmp_path):
     small = [word for word in BACKBONE if not word.startswith(("backbone=", "renderer="))]
     words = [
         "train", "experiment=tiny_reconstruction", "debug=smoke", *small, "scenes.num_scenes=2", "training.warmup=2",
         "training.learning_rate=0.003", "training.render_every=1", "trainer.precision=32-true",
+        "trainer.profiler=simple",
     ]  # fmt: skip
-    done = program(words, folder=tmp_path, environment=os.environ | {"OMP_NUM_THREADS": "1"})
+    done = program(words, tmp_path, os.environ)
     assert done.status == 0, done.err
     assert done.out == "12 steps done; backbone.safetensors in runs/smoke-tiny_reconstruction\n"
     assert "Traceback" not in done.err and "Warning" not in done.err
     with (tmp_path / "runs/smoke-tiny_reconstruction/log/version_0/metrics.csv").open() as file:
         losses = [float(row["train/loss"]) for row in csv.DictReader(file) if row["train/loss"]]
     assert sum(losses[-4:]) < 0.95 * sum(losses[:4])
-    assert done.err.splitlines()[-1].startswith("val/")
+    progress, _, report = done.err.partition("FIT Profiler Report")
+    assert progress.splitlines()[-1].startswith("val/") and "run_training_batch" in report
 
 
 def refused(capsys, *words: str) -> str:

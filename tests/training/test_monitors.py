@@ -8,43 +8,60 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from PIL import Image
 
 from anystyle.contracts import StyleSource
+from anystyle.errors import MissingExtra
 from anystyle.testing.oracle import hashed
 from anystyle.training.data import ATTEMPTS, SceneBatches
 from anystyle.training.run import make_data, make_training, train
 from anystyle.training.safeguards import FiniteLoss
 from anystyle.training.trainer import check_options, make_loggers, make_trainer
 from anystyle.types import Style
+from tests.support.oracle import golden
 from tests.support.training_cases import STYLIZATION, configuration
 
-TRACKED = (*STYLIZATION, "loggers=[tensorboard]", "training.preview_every=2", 'training.preview_texts=["red dots"]')
+TRACKED = (*STYLIZATION, "loggers=[tensorboard]", "training.preview_every=10", 'training.preview_texts=["red dots"]')
+TOLERANCE = 1e-3
+"""Relative. Two threads in place of one change losses by 1e-4; a learning rate 1 % higher, by more than this."""
 
 
 @pytest.fixture(scope="module")
 def tracked(tmp_path_factory):
+    """Twenty steps of a stylization with everything logged."""
     out = tmp_path_factory.mktemp("tracked")
-    train(configuration((*TRACKED, "trainer.max_steps=4"), out), out)
+    train(configuration((*TRACKED, "trainer.max_steps=20"), out), out)
     return out
+
+
+def logged(folder):
+    """What was logged to the table, by column."""
+    with (folder / "log" / "version_0" / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return {name: [float(row[name]) for row in rows if row[name]] for name in rows[0]}
+
+
+def test_every_step_has_the_losses_that_it_always_had(tracked):
+    columns = logged(tracked)
+    for name, losses in golden("losses_tiny").items():
+        tolerance = 20 * TOLERANCE if name == "gradient_norm" else TOLERANCE
+        assert columns[f"train/{name}"] == pytest.approx(losses, rel=tolerance), name
+    assert sum(columns["train/loss"][-5:]) < 0.95 * sum(columns["train/loss"][:5])
+    # The checkpoint holds the branch alone; what is frozen has files of its own.
+    state = torch.load(tracked / "last.ckpt", weights_only=True)["state_dict"]
+    assert state and all(key.startswith("stylizer.branch.") for key in state)
 
 
 def test_terms_rates_gradients_and_speed_are_logged_to_a_table_and_to_tensorboard(tracked):
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    with (tracked / "log" / "version_0" / "metrics.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    terms = ("loss", "total_variation", "edge_aware_smoothness", "clip_directional", "gradient_norm", "samples")
-    names = {*(f"train/{name}" for name in terms), "lr/head", "lr/head injectors"}
-    assert names <= set(rows[0])
-    columns = {name: [float(row[name]) for row in rows if row[name]] for name in names}
-    assert len(columns["train/gradient_norm"]) == 4 and min(columns["train/gradient_norm"]) > 0
+    names, columns = {"train/loss", "train/samples", "lr/head", "lr/head injectors"}, logged(tracked)
     # Two scenes a step of two views each.
-    assert columns["train/samples"] == [4, 8, 12, 16]
+    assert columns["train/samples"] == list(range(4, 84, 4))
     # Warm-up of one step from a hundredth of the peak.
     assert columns["lr/head"][:2] == pytest.approx([5e-6, 5e-4])
     events = EventAccumulator(str(tracked / "tensorboard" / "version_0"))
     events.Reload()
     assert names <= set(events.Tags()["scalars"])
-    assert [event.step for event in events.Images("previews")] == [2, 4]
+    assert [event.step for event in events.Images("previews")] == [10, 20]
 
 
 def test_the_grid_always_shows_the_same_scene_in_the_same_styles(tracked):
@@ -149,14 +166,16 @@ def test_mistakes_in_the_data_show_before_networks_are_loaded(tmp_path, monkeypa
         train(config, tmp_path)
 
 
-@pytest.mark.parametrize(("name", "extra"), [("wandb", "wandb"), ("mlflow", "mlflow"), ("tensorboard", "tracking")])
-def test_a_tracker_that_is_not_installed_names_its_extra(tmp_path, monkeypatch, name, extra):
+@pytest.mark.parametrize(
+    ("name", "package"), [("wandb", "wandb"), ("mlflow", "mlflow-skinny"), ("tensorboard", "tensorboard")]
+)
+def test_a_tracker_that_is_not_installed_names_its_package(tmp_path, monkeypatch, name, package):
     def absent(*args, **kwargs):
         raise ModuleNotFoundError(name)
 
     loggers = {"wandb": "WandbLogger", "mlflow": "MLFlowLogger", "tensorboard": "TensorBoardLogger"}
     monkeypatch.setattr(f"anystyle.training.trainer.{loggers[name]}", absent)
-    with pytest.raises(ImportError, match=rf'pip install "anystyle\[{extra}\]"'):
+    with pytest.raises(MissingExtra, match=f"pip install {package}$"):
         make_loggers([name], tmp_path)
 
 

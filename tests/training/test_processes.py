@@ -1,7 +1,6 @@
 """Several processes are one, and a run that is killed is not lost: the weights at the end are the same."""
 
 import os
-import random
 import signal
 import time
 from pathlib import Path
@@ -12,7 +11,7 @@ from safetensors.torch import load_file
 
 from anystyle.training.run import train
 from tests.support.fully_sharded import steps as steps_divided
-from tests.support.processes import forking, meeting, said, start, together
+from tests.support.processes import meeting, new, said, start, together
 from tests.support.training_cases import STYLIZATION, configuration
 
 TOY = (*(word for word in STYLIZATION if not word.startswith("trainer.max_steps=")), "export.half=false")
@@ -64,7 +63,7 @@ def test_two_processes_that_divide_the_branch_between_them_take_the_steps_of_one
     words = (*TOY, "styles.num_styles=6", "trainer.max_steps=3")
     places = meeting(2)
     divided = [(words, tmp_path, rank, places, 2) for rank in range(2)]
-    started = [forking().Process(target=steps_divided, args=each) for each in (*divided, (words, tmp_path / "one"))]
+    started = [new.Process(target=steps_divided, args=each) for each in (*divided, (words, tmp_path / "one"))]
     for process in started:
         process.start()
     finish(*started)
@@ -86,31 +85,6 @@ def test_a_signal_to_one_of_two_processes_ends_both_with_a_checkpoint_and_no_tra
         process.join(120)
     assert [process.exitcode for process in processes] == [0, 0]  # `train` returns; the command says 143
     assert 4 <= steps(out) < 400 and "Traceback" not in said(out)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("kills", "total"), [(3, 16), (10, 60)])
-def test_killed_at_random_moments_a_run_ends_with_the_same_weights(tmp_path, kills, total):
-    words = (*TOY, f"trainer.max_steps={total}", "checkpoint.every_steps=1", "average=0.9", "styles.num_styles=6")
-    whole, out = tmp_path / "whole", tmp_path / "killed"
-    began = time.monotonic()
-    finish(start(words, whole))
-    second = (time.monotonic() - began) / total
-    chance = random.Random(0)
-    for kill in range(kills):
-        process = start(words, out)
-        # Once while it starts; then within a few steps of a checkpoint of its own, each of which writes one.
-        if kill:
-            wait_for(out, steps(out) + chance.randint(1, 3), process)
-        time.sleep(chance.uniform(0, 2) * second)
-        process.kill()
-        process.join()
-        assert process.exitcode != 0, f"the run was over before kill {kill + 1}"
-    assert steps(out) > 0
-    finish(start(words, out))
-    one, two = branch(whole), branch(out)
-    assert all(torch.equal(one[key], two[key]) for key in one)
-    assert not list(out.glob(".partial-*"))
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from anystyle.registry.build import build
 from anystyle.training import run as module
 from anystyle.training.run import train
 from anystyle_tiny.training.reconstruction import ReconstructionTraining
-from tests.support.training_cases import RECONSTRUCTION, STYLIZATION, configuration
+from tests.support.training_cases import RECONSTRUCTION, configuration
 
 
 def stop_at(monkeypatch, step: int, how: str) -> None:
@@ -122,21 +122,3 @@ def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_batch(tmp_path, mo
     kept = torch.load(tmp_path / "refused_batch.pt", weights_only=False)
     assert kept["step"] == 0 and kept["batch"].views.images.shape[0] == 2
     assert not (tmp_path / "last.ckpt").exists()
-
-
-def test_stylization_learns_and_continues_bit_for_bit(tmp_path):
-    # One scene and one style: every step sees the same.
-    overrides = (*STYLIZATION, "training.pool=1", "training.batch_size=1", "training.text_ratio=0")
-    whole, halves = tmp_path / "whole", tmp_path / "halves"
-    outcome = train(configuration(overrides, whole), whole)
-    lines = (whole / "log" / "version_0" / "metrics.csv").read_text().splitlines()
-    column = lines[0].split(",").index("train/loss")
-    losses = [float(cells[column]) for cells in (line.split(",") for line in lines[1:]) if cells[column]]
-    assert losses[-1] < losses[0]
-    for words in (("trainer.max_steps=3",), ("resume=changed",)):
-        train(configuration((*overrides, "training.decay_steps=6", *words), halves), halves)
-    first, second = (load_file(out / "branch.safetensors") for out in (whole, halves))
-    assert outcome.finished and all(torch.equal(first[key], second[key]) for key in first)
-    # The checkpoint holds the branch alone; what is frozen has files of its own.
-    state = torch.load(halves / "last.ckpt", weights_only=True)["state_dict"]
-    assert all(key.startswith("stylizer.branch.") for key in state)

@@ -71,7 +71,7 @@ def distances(network):
     """The mean distance of two photographs from what is made of them."""
     whole = photographs()
     images = whole[..., :-1, :-1]
-    blurred = {sigma: gaussian_blur2d(whole, (8 * sigma + 1,) * 2, (float(sigma),) * 2) for sigma in (1, 3)}
+    blurred = {sigma: gaussian_blur2d(whole, 8 * sigma + 1, (float(sigma), float(sigma))) for sigma in (1, 3)}
     distorted = {
         "moved by a pixel": whole[..., :-1, 1:],
         "blurred, σ 1": blurred[1][..., :-1, :-1],

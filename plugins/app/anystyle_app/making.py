@@ -1,5 +1,6 @@
-"""Making scenes, one at a time, each in a folder of its own."""
+"""Making scenes, each in a folder of its own."""
 
+import gc
 import logging
 import shutil
 import threading
@@ -22,7 +23,7 @@ PAGE = "scene.html"
 
 
 class Maker:
-    """Makes scenes, one at a time.
+    """Makes scenes.
 
     Args:
         out: The folder of all scenes. Each has a folder there, named by its photographs and its style, and an archive.
@@ -31,9 +32,32 @@ class Maker:
 
     def __init__(self, out: Path, overrides: Sequence[str] = ()) -> None:
         self.out, self.overrides = out, tuple(overrides)
+        self.unwanted: set[str | None] = set()
+        """Sessions whose work ends at its next report."""
         self._working = threading.Lock()
-        self._unwanted: set[str | None] = set()
         self._closed = False
+
+    @contextmanager
+    def working(self) -> Iterator[list[str]]:
+        """Work alone; gives the lines of warnings that ``anystyle stylize`` would print, as they come, and prints them.
+
+        :meth:`close` waits for the end: a program that ends while a thread frees tensors is aborted.
+        """
+        lines: list[str] = []
+
+        class Lines(logging.StreamHandler):
+            def emit(self, record: logging.LogRecord) -> None:
+                super().emit(record)
+                lines.append(record.getMessage())
+
+        handler, root = Lines(), logging.getLogger()
+        handler.setLevel(logging.WARNING)
+        with self._working:
+            root.addHandler(handler)
+            try:
+                yield lines
+            finally:
+                root.removeHandler(handler)
 
     def make(
         self,
@@ -53,17 +77,16 @@ class Maker:
             strength: In [0, 1]; 0 is the unstyled scene.
             method: How the scene takes the style: a plugin or preset of the kind ``method``.
             report: Called with each stage as it begins, and every few seconds while it goes on.
-            session: Who wants the scene, for :meth:`stop`.
+            session: Who wants the scene; the work ends once it is among the ``unwanted``.
 
         Raises:
             UserError: As :func:`anystyle.stylize`; or it was stopped.
         """
         if not inputs:
             raise UserError("no photographs are given; add some, or a video or a splat, or choose the example")
-        self._unwanted.discard(session)
 
         def checked(stage: str, progress: Progress) -> None:
-            if self._closed or session in self._unwanted:
+            if self._closed or session in self.unwanted:
                 raise UserError("stopped; nothing was kept")
             report(stage, progress)
 
@@ -75,22 +98,18 @@ class Maker:
             overrides=(f"method={method}", *self.overrides, "export.formats=[html]"),
         )
         described = title_of(style) if isinstance(style, Path) else style
-        with self._working:
-            folder = self._new_folder(f"{slug(Path(files[0].removeprefix(PREFIX)).stem)}_{slug(described)}")
-            anystyle.stylize(request, out=folder, stages=stages)
-            with stages("write", "an archive"), atomic_path(_archive(folder)) as path:
-                shutil.make_archive(str(path.with_suffix("")), "zip", self.out, folder.name)
+        name = f"{slug(Path(files[0].removeprefix(PREFIX)).stem)}_{slug(described)}"
+        folder = self._new_folder(name)
+        anystyle.stylize(request, out=folder, stages=stages)
+        with stages("write", "an archive"), atomic_path(_archive(folder)) as path:
+            shutil.make_archive(str(path.with_suffix("")), "zip", self.out, folder.name)
         return folder
-
-    def stop(self, session: str | None) -> None:
-        """End the work for a session at its next report."""
-        self._unwanted.add(session)
 
     def close(self) -> None:
         """End the work for everybody, and wait until it has ended."""
         self._closed = True
         with self._working:
-            pass
+            gc.collect()
 
     def made(self) -> list[str]:
         """The names of all scenes, the newest first."""
@@ -115,22 +134,3 @@ def files_of(folder: Path) -> dict[str, Path]:
 
 def _archive(folder: Path) -> Path:
     return folder.with_name(f"{folder.name}.zip")
-
-
-@contextmanager
-def collected_warnings() -> Iterator[list[str]]:
-    """The lines of warnings that ``anystyle stylize`` would print, as they come; they are printed, too."""
-    lines: list[str] = []
-
-    class Lines(logging.StreamHandler):
-        def emit(self, record: logging.LogRecord) -> None:
-            super().emit(record)
-            lines.append(record.getMessage())
-
-    handler = Lines()
-    handler.setLevel(logging.WARNING)
-    logging.getLogger().addHandler(handler)
-    try:
-        yield lines
-    finally:
-        logging.getLogger().removeHandler(handler)

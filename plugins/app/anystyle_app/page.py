@@ -16,7 +16,7 @@ from anystyle.cli.run import message
 from anystyle.errors import UserError, one_line
 from anystyle.examples import PREFIX, examples, resolved
 from anystyle.types import Progress
-from anystyle_app.making import Maker, collected_warnings, files_of
+from anystyle_app.making import Maker, files_of
 from anystyle_app.markup import EMPTY, said, shown
 
 CSS = Path(__file__).with_name("page.css")
@@ -25,7 +25,8 @@ FONT, MONO = ("system-ui", "sans-serif"), ("ui-monospace", "monospace")
 LOOPBACK = ("127.0.0.1", "localhost")
 FILES = "files"
 TEXT, PICTURE, PAINTING = "Text", "Picture", "Painting"
-METHODS = [("Painter", "branch"), ("Brush strokes", "brush")]
+PAINTER = "branch"
+METHODS = [("Painter", PAINTER), ("Brush strokes", "brush")]
 BEGINS = {
     "load": 0.0, "embed": 0.02, "read": 0.04, "cameras": 0.06, "encode": 0.3, "fit": 0.32,
     "render": 0.8, "restyle": 0.83, "write": 0.92,
@@ -51,17 +52,24 @@ def build(maker: Maker) -> gr.Blocks:
             bar = max(bar, _fraction(stage, state.done or 0))
             progress(bar, desc=f"{stage} {state.line}")
 
-        with collected_warnings() as warnings:
+        with maker.working() as warnings:  # until an error has let go of its tensors
             try:
                 inputs, style = (files or []) if scene == FILES else [scene], _style(kind, text, picture, painting)
                 how: dict[str, Any] = {"strength": strength, "method": method}
                 folder = maker.make(inputs, style, **how, report=report, session=request.session_hash)
             except Exception as error:
-                return said(warnings, _line(error)), gr.skip(), gr.skip()
+                line = _line(error)
+                for path in filter(None, [*(files or []), picture]):  # Gradio's own folders are nobody's concern
+                    line = line.replace(path, Path(path).name)
+                return said(warnings, line), gr.skip(), gr.skip()
         return said(warnings), shown(folder), gr.Dropdown(maker.made(), value=folder.name)
 
+    def begin(request: gr.Request) -> tuple[str, gr.Button, gr.Button]:
+        maker.unwanted.discard(request.session_hash)
+        return "", gr.Button(interactive=False), gr.Button("Stop", interactive=True, visible=True)
+
     def stop_it(request: gr.Request) -> gr.Button:
-        maker.stop(request.session_hash)
+        maker.unwanted.add(request.session_hash)
         return gr.Button("Stopping …", interactive=False)
 
     def show_again(name: str) -> tuple[str, str]:
@@ -79,7 +87,9 @@ def build(maker: Maker) -> gr.Blocks:
                 files = gr.File(label="Photographs, a video or a splat", file_count="multiple", height=150)
                 kind = gr.Radio([TEXT, PICTURE, PAINTING], value=TEXT, label="Style")
                 text = gr.Textbox(label="What it looks like", placeholder="charcoal drawing", max_length=2000)
-                picture = gr.Image(label=PICTURE, type="filepath", image_mode=None, sources=["upload"], visible=False)
+                picture = gr.Image(
+                    label=PICTURE, type="filepath", image_mode=None, sources=["upload"], height=240, visible=False
+                )
                 gallery = gr.Gallery(
                     [(str(resolved(Path(PREFIX + name))), known[name].title) for name in paintings],
                     label=known[paintings[0]].title, columns=3, object_fit="cover", allow_preview=False, buttons=[],
@@ -87,7 +97,7 @@ def build(maker: Maker) -> gr.Blocks:
                 )  # fmt: skip
                 painting = gr.State(PREFIX + paintings[0])
                 strength = gr.Slider(0, 1, value=1, step=0.05, label="Strength")
-                method = gr.Radio(METHODS, value="branch", label="Made with")
+                method = gr.Radio(METHODS, value=PAINTER, label="Made with")
                 start = gr.Button("Make the scene", variant="primary")
                 stop = gr.Button("Stop", visible=False)
                 before = gr.Dropdown(maker.made(), value=None, label="Made before")
@@ -100,14 +110,11 @@ def build(maker: Maker) -> gr.Blocks:
         scene.change(lambda scene: gr.File(visible=scene == FILES), scene, files, **quick)
         styles = {TEXT: text, PICTURE: picture, PAINTING: gallery}
         kind.change(lambda kind: [gr.update(visible=kind == one) for one in styles], kind, [*styles.values()], **quick)
+        method.change(lambda method: gr.Slider(value=1, visible=method == PAINTER), method, strength, **quick)
         gallery.select(choose, None, [painting, gallery], **quick)
         before.input(show_again, before, [lines, result], **quick)
         stop.click(stop_it, None, stop, **quick)
-        begun = gr.on(
-            [start.click, text.submit],
-            lambda: ("", gr.Button(interactive=False), gr.Button("Stop", interactive=True, visible=True)),
-            None, [lines, start, stop], **quick,
-        )  # fmt: skip
+        begun = gr.on([start.click, text.submit], begin, None, [lines, start, stop], **quick)
         given = [scene, files, kind, text, picture, painting, strength, method]
         ended = begun.then(
             run, given, [lines, result, before],

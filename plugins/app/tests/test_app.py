@@ -10,7 +10,7 @@ from anystyle.errors import MissingExtra, UserError
 from anystyle.pipeline.saved import read_gaussians
 from anystyle.types import Progress
 from anystyle_app import command
-from anystyle_app.making import Maker, collected_warnings, files_of
+from anystyle_app.making import Maker, files_of
 from anystyle_app.markup import said, shown
 from tests.support.viewer_scene import write_scene
 
@@ -21,7 +21,7 @@ VIDEO = "video.frames=4"
 
 def test_photographs_in_a_style_that_no_word_is_known_of(tmp_path):
     maker, stages = Maker(tmp_path / "out", [*PHOTOGRAPHS, VIDEO]), []
-    with collected_warnings() as warnings:
+    with maker.working() as warnings:
         folder = maker.make(["example:street"], "zorblax", report=lambda stage, progress: stages.append(stage))
     assert folder == tmp_path / "out" / "street_zorblax"
     assert list(dict.fromkeys(stages)) == ["load", "embed", "read", "encode", "render", "restyle", "write"]
@@ -52,7 +52,7 @@ def test_stopping_and_closing_leave_nothing(tmp_path):
 
     def stop(stage: str, progress: Progress) -> None:
         if stage == "encode":
-            maker.stop("mine")
+            maker.unwanted.add("mine")
 
     with pytest.raises(UserError, match="stopped"):
         maker.make([str(splat)], "red dots", report=stop, session="mine")

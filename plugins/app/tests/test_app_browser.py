@@ -1,7 +1,6 @@
 """The app as people use it: Chromium adds files, types, waits, looks and downloads; the program is the real one."""
 
 import http.client
-import os
 import signal
 import subprocess
 import sys
@@ -63,12 +62,13 @@ def test_nothing_but_scenes_is_served(app, path):
     assert asked(app, path=path) == 404
 
 
-def test_a_port_that_is_taken_is_one_line(app, program, tmp_path):
+def test_a_port_that_is_taken_is_one_line(app):
     port = app.rstrip("/").rpartition(":")[2]
-    done = program(["app", "--port", port], folder=tmp_path, environment=dict(os.environ))
-    assert done.status == 2
-    assert done.err.startswith(f"anystyle: error: cannot answer at 127.0.0.1, port {port}: ")
-    assert done.err.count("\n") == 1
+    command = [sys.executable, "-m", "anystyle", "app", "--port", port]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"anystyle: error: cannot answer at 127.0.0.1, port {port}: ")
+    assert done.stderr.count("\n") == 1
 
 
 def test_from_a_splat_to_the_last_download(app, browser, page, errors, tmp_path):
@@ -99,6 +99,10 @@ def test_from_a_splat_to_the_last_download(app, browser, page, errors, tmp_path)
     before, after = Gaussians.load(splat), Gaussians.load(names["scene_red-dots.ply"])
     assert torch.equal(before.means, after.means) and not torch.equal(before.harmonics, after.harmonics)
     assert "scene_red-dots/report.json" in zipfile.ZipFile(names["scene_red-dots.zip"]).namelist()
+    page.get_by_label("Brush strokes").check()  # add Gaussians, and know no strength
+    page.get_by_label("number input for Strength").wait_for(state="hidden")
+    page.get_by_label("Painter", exact=True).check()
+    page.get_by_label("number input for Strength").wait_for()
     page.get_by_label("Painting", exact=True).check()
     page.get_by_role("button", name="Thumbnail 2 of 7").click()
     page.get_by_text("The Great Wave off Kanagawa", exact=True).first.wait_for()

@@ -9,11 +9,8 @@ from anystyle.registry.catalog import catalog
 
 SUBCOMMANDS = {
     "run": "render a track's scenes in its styles, each method in a process of its own",
-    "geometry": "depth and cameras of your own track's scenes, and the hashes of its inputs",
-    "judge": "compute the figures of results; --check verifies a folder of images without judging",
-    "verify": "make cells of a table again, and compare every figure",
-    "compare": "which methods differ significantly; --with-people makes a user study of them",
-    "people": "which metrics order methods as the participants of such a study do",
+    "judge": "compute the scores of results; --check verifies a folder of images without judging",
+    "compare": "which methods differ significantly",
     "ladder": "how the metrics order known distortions of a method's results",
     "site": "a static site of tables and pictures",
 }

@@ -1,10 +1,9 @@
-"""``anystyle benchmark judge``: the figures of results, or what is wrong with somebody's images."""
+"""``anystyle benchmark judge``: the scores of results, or what is wrong with somebody's images."""
 
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -17,8 +16,7 @@ from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import as_number
 from anystyle.io.limits import free
 from anystyle_benchmark.judge import Judge, inputs_of, read_methods, wrong
-from anystyle_benchmark.ladder import Ladder, bundled
-from anystyle_benchmark.results import FIGURES, Figures, Interval, bind, joined, read_figures, require_same_track
+from anystyle_benchmark.results import FIGURES, Figures, Interval, bind, differing, joined, read_figures
 from anystyle_benchmark.statistics import cost
 from anystyle_benchmark.track import Inputs
 
@@ -34,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle benchmark judge``."""
     flags = new_parser(
         "benchmark judge",
-        "Compute the track's figures of every method in a folder of results. Writes figures.json, table.md and "
+        "Compute the track's scores of every method in a folder of results. Writes figures.json, table.md and "
         "table.csv there; only what changed is computed again.",
     )
     add = flags.add_argument
@@ -48,15 +46,6 @@ def parser() -> argparse.ArgumentParser:
     check = "judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png"
     add("--check", type=Path, metavar="FOLDER", help=check)
     return flags
-
-
-@contextmanager
-def _naming(beside: Path | None, results: Path) -> Iterator[None]:
-    """Let a refusal say which results do not fit together."""
-    try:
-        yield
-    except UserError as error:
-        raise UserError(f"{beside} cannot be shown beside {results}: {error}") from None
 
 
 def main(args: Sequence[str]) -> None:
@@ -80,15 +69,13 @@ def main(args: Sequence[str]) -> None:
     chosen = tuple(filter(None, arguments.metrics.split(",")))
     judge = Judge(inputs, results, chosen, processes=processes_of(arguments))
     others = None if arguments.beside is None else read_figures(arguments.beside)
-    with _naming(arguments.beside, results):
-        if others is not None:
-            require_same_track(lock, others.track)  # before hours of judging
+    if others is not None and (reason := differing(lock, judge.infos, others)):
+        raise UserError(f"{arguments.beside} cannot be shown beside {results}: {reason}")
     figures = judge(specs, lock, progress_lines())
-    with _naming(arguments.beside, results):
-        if others is not None:
-            figures = joined(figures, others)
+    if others is not None:
+        figures = joined(figures, others)
     write_json(results / FIGURES, msgspec.to_builtins(figures))
-    table = summary(figures, bundled(inputs.file.parent, figures)).markdown()
+    table = summary(figures).markdown()
     for name, text in (("table.md", table), ("table.csv", listing(figures).csv())):
         with atomic_path(results / name) as path:
             path.write_text(text, encoding="utf-8")
@@ -112,33 +99,25 @@ def processes_of(arguments: argparse.Namespace) -> int:
     return arguments.processes or max(1, min(os.cpu_count() or 1, free() // PROCESS))
 
 
-def summary(figures: Figures, ladder: Ladder | None = None) -> Table:
-    """Methods down and metrics across, in a block for each guide; below, which metrics fail ladders."""
+def summary(figures: Figures) -> Table:
+    """Methods down, by each guide, and metrics across."""
     shown = [name for name in figures.headline if any(name in row.figures for row in figures.table)]
     rows: list[tuple[str, ...]] = []
-    for guide in dict.fromkeys(row.guide for row in figures.table):
-        rows.append((f"by {guide}s",))
-        for row in (row for row in figures.table if row.guide == guide):
-            values = [spread(row.figures.get(name)) for name in shown]
-            seconds = cost(figures.cells_of(row.method, guide))
-            title = figures.methods[row.method].title
-            rows.append((title, f"{row.cells - row.failed} of {row.cells}", *values, number(seconds)))
+    for row in sorted(figures.table, key=lambda row: row.guide):
+        values = [spread(row.figures.get(name)) for name in shown]
+        seconds, title = cost(figures.cells_of(row.method, row.guide)), figures.methods[row.method].title
+        rows.append((row.guide, title, f"{row.cells - row.failed} of {row.cells}", *values, number(seconds)))
     better = {name: info.better for name, info in figures.metrics.items()}
     networks = {name: figures.metrics[name].stand_in for name in shown if figures.metrics[name].stand_in}
-    failures = {} if ladder is None else {name: ladder.failures(name) for name in shown if name in ladder.failing}
     return Table(
-        ("method", "cells", *(titled(name, better) for name in shown), "CPU s per style"),
+        ("guide", "method", "cells", *(titled(name, better) for name in shown), "CPU s per style"),
         tuple(rows),
-        notes=(
-            INTERVALS,
-            *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items()),
-            *(f"{name} fails ladders: {said}." for name, said in failures.items()),
-        ),
+        notes=(INTERVALS, *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items())),
     )
 
 
 def listing(figures: Figures) -> Table:
-    """Every figure of every method in a row of its own."""
+    """Every score of every method in a row of its own."""
     rows = []
     for row in figures.table:
         for name, one in row.figures.items():

@@ -10,20 +10,19 @@ import torch
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.progress import progress_lines
 from anystyle.errors import UserError, unknown
+from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_directory, atomic_path, write_json
-from anystyle.io.documents import kept_json
+from anystyle.io.documents import as_number, kept_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress
 from anystyle_benchmark.command_judge import add_processes, processes_of
 from anystyle_benchmark.distortions import DISTORTIONS, Shot
 from anystyle_benchmark.judge import Judge
-from anystyle_benchmark.ladder import LADDER, UNDISTORTED, Ladder, judged, rung
-from anystyle_benchmark.ladder_page import ladder_page, picture, strip, table
+from anystyle_benchmark.ladder import BLIND, LADDER, STEPS, UNDISTORTED, Verdict, judged, rung
 from anystyle_benchmark.ours import stylized
-from anystyle_benchmark.results import FIGURES, Cell, Record, bind, is_done
+from anystyle_benchmark.results import FIGURES, Cell, Figures, Record, bind, is_done
 from anystyle_benchmark.run import make_job
 from anystyle_benchmark.spec import Spec, read_spec
-from anystyle_benchmark.templates import PAGES
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
 
@@ -32,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser(
         "benchmark ladder",
         "Distort a method's scenes and views in rungs of known order, and count how many rungs each metric puts in "
-        "order. Writes ladder.json, ladder.md, ladder.svg, rungs.jpg and index.html; what is done is not done again.",
+        "order. Writes ladder.json, ladder.md and ladder.csv; what is done is not done again.",
     )
     add = flags.add_argument
     add("results", type=Path, help="a folder of its own for the rungs, which are kept as methods of a benchmark")
@@ -70,33 +69,13 @@ def main(args: Sequence[str]) -> None:
         render(inputs, spec, names, scene, styles, root, on_progress)
     figures = judge(specs, lock, on_progress)
     write_json(root / FIGURES, msgspec.to_builtins(figures))
-    done = [cell.place for cell in figures.cells if cell.method == UNDISTORTED and cell.status == "done"]
     verdicts = judged(figures, names)
-    ladder = Ladder(
-        track=lock,
-        method=spec,
-        scenes=[one.name for one in inputs.track.scenes if one.name in {scene for scene, _ in done}],
-        styles=[one.name for one in inputs.track.styles if one.name in {style for _, style in done}],
-        views=max(len(scene.views) for scene in inputs.track.scenes),
-        metrics={name: info for name, info in figures.metrics.items() if any(one.figure == name for one in verdicts)},
-        weights={name: dict(metric.weights) for name, metric in judge.metrics.items()},
-        verdicts=verdicts,
-    )
-    write_json(root / LADDER, msgspec.to_builtins(ladder))
-    with atomic_path(root / "rungs.jpg") as path:
-        shown = strip(root, names, scenes[0].name, styles[0].name, scenes[0].views[0])
-        shown.save(path, "JPEG", quality=85)
-    css, markdown = (PAGES / "site.css").read_text(encoding="utf-8"), table(ladder).markdown()
-    page = ladder_page(ladder, "rungs.jpg")
-    texts = {"ladder.svg": picture(ladder), "ladder.md": markdown, "index.html": page, "site.css": css}
-    for name, text in texts.items():
+    write_json(root / LADDER, msgspec.to_builtins({"track": lock, "method": spec, "verdicts": verdicts}))
+    listed = table(verdicts, figures, spec)
+    for name, text in (("ladder.md", listed.markdown()), ("ladder.csv", listed.csv())):
         with atomic_path(root / name) as path:
             path.write_text(text, encoding="utf-8")
-    print(markdown)
-    for name in ladder.metrics:
-        if failures := ladder.failures(name):
-            print(f"{name}: {failures}")
-    print(f"in {root}: {LADDER}, {', '.join(texts)}, rungs.jpg")
+    print(f"{listed.markdown()}\nin {root}: {LADDER}, ladder.md, ladder.csv")
 
 
 def rungs(spec: Spec, names: Sequence[str], guides: set[str]) -> list[Spec]:
@@ -131,13 +110,13 @@ def render(
     if not wanted:
         return
     on_progress(Progress.count(f"rungs of {scene.name}", 0, len(wanted)))
-    results, cameras = stylized(make_job(inputs, scene, wanted, 0, root, ()), spec.preset or ())
+    results, cameras = stylized(make_job(inputs, scene, wanted, 0, root), spec.preset or ())
 
     def views(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:
         return torch.stack(list(results.encoded.render(gaussians, cameras)))
 
     for done, (style, result) in enumerate(zip(wanted, results, strict=True), 1):
-        shot = Shot(result.gaussians, results.restyler.unstyled, cameras, views)
+        shot = Shot(result.gaussians, results.run.unstyled, cameras, views)
         for name, distortion, strength in missing[style.name]:
             cell = Cell(name, 0, scene.name, style.name)
             images = shot.views if distortion is None else distortion.apply(shot, strength)
@@ -146,6 +125,28 @@ def render(
                     save_png(to_pil(image), folder / f"{view}.png")
             write_json(cell.record(root), msgspec.to_builtins(Record("done")))
         on_progress(Progress.count(f"rungs of {scene.name}", done, len(wanted)))
+
+
+def table(verdicts: Sequence[Verdict], figures: Figures, method: Spec) -> Table:
+    """Scores down, distortions across: how many steps are in order, and the verdict in words."""
+    found = {(one.figure, one.distortion): one for one in verdicts}
+    present = [name for name in DISTORTIONS if any(one.distortion == name for one in verdicts)]
+    names = list(dict.fromkeys(one.figure for one in verdicts))
+    better = {name: figures.metrics[name].better for name in names}
+    rows = [(titled(name, better), *(_told(found.get((name, each))) for each in present)) for name in names]
+    networks = {name: figures.metrics[name].stand_in for name in names if figures.metrics[name].stand_in}
+    notes = (
+        f"How many of {STEPS} steps to the next rung move the score as it should (to the worse, where nothing is "
+        f"claimed). Verdicts are of Kendall's tau of rung and score: its 95 % interval for new scenes and styles "
+        f"leaves 0 out; lies within {BLIND:g} of 0 (blind); or neither (undecided). Method {method.name}, track "
+        f"{figures.track.name} {figures.track.version}.",
+        *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items()),
+    )
+    return Table(("score", *(DISTORTIONS[name].title for name in present)), tuple(rows), notes=notes)
+
+
+def _told(verdict: Verdict | None) -> str:
+    return "–" if verdict is None else f"{number(round(as_number(verdict.ordered.mean), 1))} {verdict.words}"
 
 
 def _words(text: str) -> list[str]:

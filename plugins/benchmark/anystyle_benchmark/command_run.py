@@ -22,7 +22,6 @@ CONF = Path(__file__).parent / "conf"
 KEYS = """\
   track=open             a bundled track (open, smoke, tnt, ablation) or a file; root=DIR where its inputs lie
   methods=[brush,mine.toml] scenes=[street] styles=[wave] seeds=[0]      default: all
-  pages=[wave]           styles of which each scene is also saved as a 3D page that the site links, 1 MB each
   out=benchmark          the folder of results; cells that are done are not run again
   -m methods=brush,nnfm scenes=street,banana hydra/launcher=joblib       distributed over processes, or a cluster
 """
@@ -50,7 +49,6 @@ def benchmark(config: DictConfig) -> None:
     inputs = Inputs(str(config.track), None if config.root is None else Path(str(config.root)))
     scenes = [inputs.scene(name) for name in _chosen(config.scenes)] or inputs.track.scenes
     styles = [inputs.style(name) for name in _chosen(config.styles)] or inputs.track.styles
-    pages = [inputs.style(name).name for name in _chosen(config.pages)]
     if strange := [word for word in _chosen(config.seeds) if not word.isdecimal()]:
         raise UserError(f"seeds={strange[0]}; give integers of at least 0")
     seeds = list(map(int, _chosen(config.seeds)))
@@ -70,7 +68,7 @@ def benchmark(config: DictConfig) -> None:
                 _say(f"{spec.name} has {spec.seeds} seed{'s' * (spec.seeds > 1)}; seed {seed} is left out")
                 continue
             for scene in scenes:
-                cells += run_scene(inputs, spec, home, scene, styles, seed, root, _say, pages)
+                cells += run_scene(inputs, spec, home, scene, styles, seed, root, _say)
     done = sum(is_done(cell, root) for cell in cells)
     track = "" if inputs.bundled else f" --track {inputs.file}"
     _say(f"{done} of {len(cells)} cells are done; next: anystyle benchmark judge {root}{track}")

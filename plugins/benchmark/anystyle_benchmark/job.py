@@ -26,7 +26,6 @@ class Job(Struct, frozen=True):
         seed: For whatever is random.
         out: Folder for ``STYLE/VIEW.png``, 8-bit RGB; a method may also write :class:`Seconds` as ``seconds.json``, and
             the SHA-256 of its networks' files by their names as ``weights.json``.
-        pages: Styles in which the scene is also wanted as a page to walk through, ``STYLE.html``, if there is a scene.
     """
 
     track: str
@@ -37,7 +36,6 @@ class Job(Struct, frozen=True):
     styles: tuple[AskedStyle, ...]
     seed: int
     out: str
-    pages: tuple[str, ...] = ()
 
 
 class Seconds(Struct, frozen=True):

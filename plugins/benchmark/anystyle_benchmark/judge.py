@@ -13,11 +13,14 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 import torch
+from jaxtyping import Float
 from msgspec import Struct
 from PIL import Image, ImageOps
 from torch import Tensor
@@ -29,6 +32,7 @@ from anystyle.evaluation import judge as loop
 from anystyle.evaluation.comparisons import Reader, read
 from anystyle.evaluation.pairing import CAMERAS, StylizedImages
 from anystyle.evaluation.run import make_metrics
+from anystyle.io.arrays import read_arrays
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import Figure, as_figure, as_number, kept_json, read_json
 from anystyle.registry.catalog import catalog
@@ -60,6 +64,8 @@ log = logging.getLogger(__name__)
 GUIDES = ("image", "text")
 ENCODERS, STAND_IN = (("clip", "clip_b32"), ("long_clip", "longclip_b32")), ("tiny", "tiny_style_encoder")
 """Style encoders for texts, with their weights: the first that is installed, or else the stand-in."""
+DEPTH = "depth.npz"
+"""The file of a track's depth along z, an array ``[H, W]`` at the judged size for each view; 0 where it is unknown."""
 PHOTOGRAPHS = ".photographs"
 """The folder of what images are compared with, ``SCENE/VIEW.png``, in the folder of results."""
 
@@ -139,6 +145,15 @@ class Judge:
         ]
         of_scenes = [SceneFigures(*unit, {n: wholes[unit][n] for n in wholes[unit] if n in together}) for unit in units]
         of_scenes = [one for one in of_scenes if one.figures]
+        names = list(self.infos)
+        table = [_row(spec.name, guide, names, cells, of_scenes) for spec in specs for guide in spec.guides]
+        methods = {spec.name: spec for spec in specs}
+        shown = [row for row in table if row.cells]
+        return Figures(lock, self.infos, methods, cells, of_scenes, shown, dict(sorted(origins.items())))
+
+    @cached_property
+    def infos(self) -> dict[str, MetricInfo]:
+        """The columns of the table."""
         infos: dict[str, MetricInfo] = {}
         for name, metric in self.metrics.items():
             reference = (sys.modules[type(metric).__module__].__doc__ or "").partition("\n")[0]
@@ -146,10 +161,7 @@ class Judge:
                 stand_in = metric.stand_ins.get(figure, "")
                 title = figure.replace("_", " ")
                 infos[figure] = MetricInfo(title, better, reference, stand_in, name, dict(metric.weights))
-        table = [_row(spec.name, guide, list(infos), cells, of_scenes) for spec in specs for guide in spec.guides]
-        methods = {spec.name: spec for spec in specs}
-        shown = [row for row in table if row.cells]
-        return Figures(lock, infos, methods, cells, of_scenes, shown, dict(sorted(origins.items())))
+        return infos
 
     def _all(self, units: Sequence[Unit]) -> Iterator[Found]:
         """What is found of each unit, in their order."""
@@ -228,6 +240,7 @@ class Judge:
         scene = self.inputs.scene(unit.scene)
         content = photographs(self.inputs, scene, self.root)
         geometry = None if scene.geometry is None else self.inputs.path(scene.geometry)
+        depth = None if geometry is None else _depth(geometry / DEPTH, scene.views)
         for style in map(self.inputs.style, styles):
             folder = Cell(unit.method, unit.seed, unit.scene, style.name).images(self.root)
             comparison = self._reader(
@@ -239,13 +252,12 @@ class Judge:
                     stylized=tuple(folder / f"{view}.png" for view in scene.views),
                     # A text has no picture: the reader's is put aside below.
                     reference=content[0] if style.image is None else self.inputs.path(style.image),
-                    depth=() if geometry is None else tuple(geometry / f"{view}.npy" for view in scene.views),
                     cameras=None if geometry is None else geometry / CAMERAS,
                 )
             )
             if style.text is not None:
                 comparison = replace(comparison, style=Style(text=(style.text,), names=(style.name,)))
-            yield comparison
+            yield replace(comparison, depth=depth)
 
 
 _worker: Judge
@@ -294,6 +306,11 @@ def photographs(inputs: Inputs, scene: SceneEntry, root: Path) -> tuple[Path, ..
             with atomic_path(path) as temporary:
                 ImageOps.fit(open_image(files[view]), (width, height), Image.Resampling.LANCZOS).save(temporary)
     return tuple(made.values())
+
+
+def _depth(file: Path, views: Sequence[str]) -> Float[Tensor, "1 V H W"]:
+    maps = read_arrays(file, views, what="file of depth maps by view")
+    return torch.from_numpy(np.stack([maps[view] for view in views]))[None].float()
 
 
 def inputs_of(root: Path, track: str | None = None, folder: Path | None = None) -> Inputs:

@@ -15,7 +15,6 @@ from anystyle.io.atomic import write_json
 from anystyle.io.documents import read_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline import words
-from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.inputs import inputs_of
 from anystyle.pipeline.results import Results
 from anystyle.types import Cameras, SourceImage
@@ -41,9 +40,6 @@ def main(job_file: str, args: Sequence[str]) -> None:
         spent, before = time.process_time(), spent
         seconds[style.name] = spent - before
         write_json(Path(job.out) / SECONDS, {"scene": once, "styles": seconds})
-        if style.name in job.pages:
-            export_styles(result.scene(), Path(job.out) / f"{style.name}.html", "html")
-            spent = time.process_time()
 
 
 def stylized(job: Job, args: Sequence[str]) -> tuple[Results, Cameras]:

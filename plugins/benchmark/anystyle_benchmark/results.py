@@ -10,7 +10,7 @@
 """
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -21,7 +21,6 @@ from PIL import Image
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import Figure, kept_json, read_json
-from anystyle.io.run_folder import changes
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import PROTOCOL, Inputs
 
@@ -92,10 +91,6 @@ class Cell(NamedTuple):
     def record(self, root: Path) -> Path:
         """The file of its :class:`Record`."""
         return self.images(root).with_name(f"{self.style}.json")
-
-    def page(self, root: Path) -> Path:
-        """A page with its scene to walk through, where there is one."""
-        return self.images(root).with_name(f"{self.style}.html")
 
 
 class MetricInfo(Struct, frozen=True):
@@ -211,13 +206,9 @@ def bind(inputs: Inputs, root: Path) -> Lock:
         return lock
     kept = read_lock(root)
     if kept.digest != lock.digest:
-        before, now = (
-            {"track": f"{one.name} version {one.version}", "judge": one.protocol}
-            | {name: value[:8] for name, value in one.hashes.items()}
-            for one in (kept, lock)
+        raise UserError(
+            f"{root} cannot hold results of {inputs.file}: {_of_other_track(kept, lock)}; use another folder"
         )
-        changed = changes(before, now) or f"{inputs.file} was edited"
-        raise UserError(f"{root} holds results of another track ({changed}); use another folder, or raise `version`")
     return lock
 
 
@@ -234,24 +225,27 @@ def read_figures(root: Path) -> Figures:
     return read_json(path, Figures, what="file of figures")
 
 
-def require_same_track(track: Lock, other: Lock) -> None:
-    """Raise a UserError that says how another track or judge differs."""
-    if other.digest != track.digest:
-        words = [f"track {one.name} {one.version}, judge {one.protocol}" for one in (other, track)]
-        raise UserError("its inputs differ" if words[0] == words[1] else f"it is of {words[0]}, not of {words[1]}")
+def _of_other_track(track: Lock, other: Lock) -> str:
+    words = [f"track {one.name} {one.version}, judge {one.protocol}" for one in (track, other)]
+    return "its inputs differ" if words[0] == words[1] else f"it is of {words[0]}, not of {words[1]}"
+
+
+def differing(track: Lock, metrics: Mapping[str, MetricInfo], others: Figures) -> str:
+    """Why the scores of others cannot stand beside those of a track and its metrics; empty where they can."""
+    if others.track.digest != track.digest:
+        return _of_other_track(others.track, track)
+    both = [(name, metrics[name], others.metrics[name]) for name in metrics if name in others.metrics]
+    strange = [name for name, one, other in both if (one.stand_in, one.weights) != (other.stand_in, other.weights)]
+    return f"other networks computed {', '.join(sorted(strange))}" if strange else ""
 
 
 def joined(figures: Figures, others: Figures) -> Figures:
-    """Figures with those methods of others that they lack; what another track, judge or network judged is refused."""
-    require_same_track(figures.track, others.track)
-    metrics = others.metrics | figures.metrics
-    both = [(name, metrics[name], others.metrics[name]) for name in figures.metrics if name in others.metrics]
-    if strange := [name for name, one, other in both if (one.stand_in, one.weights) != (other.stand_in, other.weights)]:
-        raise UserError(f"other networks computed {', '.join(sorted(strange))}")
+    """The scores with those methods of others that they lack; :func:`differing` says whether they fit together."""
     names = others.methods.keys() - figures.methods.keys()
     return msgspec.structs.replace(
         figures,
-        metrics={name: metrics[name] for name in (*figures.metrics, *metrics)},
+        metrics=figures.metrics
+        | {name: others.metrics[name] for name in others.metrics if name not in figures.metrics},
         methods=dict(sorted((figures.methods | {name: others.methods[name] for name in names}).items())),
         cells=[*figures.cells, *(cell for cell in others.cells if cell.method in names)],
         scenes=[*figures.scenes, *(scene for scene in others.scenes if scene.method in names)],

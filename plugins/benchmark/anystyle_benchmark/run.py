@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,12 +50,11 @@ def run_scene(
     seed: int,
     root: Path,
     say: Callable[[str], None],
-    pages: Sequence[str] = (),
 ) -> list[Cell]:
     """Have a method render a scene in those styles that are missing, and record each cell; all cells of the scene.
 
     Styles with a guide that the method cannot follow are left out. ``home`` is the folder of the spec, ``root`` that of
-    the results; ``say`` takes a line of progress; in the styles of ``pages`` the scene is wanted as a page, too.
+    the results; ``say`` takes a line of progress.
     """
     cells = {
         style.name: Cell(spec.name, seed, scene.name, style.name) for style in styles if style.guide in spec.guides
@@ -75,7 +74,7 @@ def run_scene(
             (scratch / "out").mkdir(parents=True)
             origin = Origin() if spec.folder is not None else origin_now(spec)
             write_json(scratch / ORIGIN, msgspec.to_builtins(origin))  # for what an interruption leaves whole
-            ended = ask(make_job(inputs, scene, missing, seed, scratch.resolve() / "out", pages), spec, home)
+            ended = ask(make_job(inputs, scene, missing, seed, scratch.resolve() / "out"), spec, home)
             wanted = {style.name: cells[style.name] for style in missing}
             found = _collect(scratch / "out", wanted, scene.views, size, root, ended, origin)
             failures = {
@@ -96,15 +95,13 @@ def run_scene(
     return list(cells.values())
 
 
-def make_job(
-    inputs: Inputs, scene: SceneEntry, styles: Sequence[StyleEntry], seed: int, out: Path, pages: Sequence[str]
-) -> Job:
+def make_job(inputs: Inputs, scene: SceneEntry, styles: Sequence[StyleEntry], seed: int, out: Path) -> Job:
     """What a method is asked."""
     photographs = {stem: str(path.resolve()) for stem, path in inputs.photographs(scene).items()}
     images = {style.name: style.image and str(inputs.path(style.image).resolve()) for style in styles}
     asked = tuple(AskedStyle(style.name, images[style.name], style.text) for style in styles)
     size = inputs.size(scene)
-    return Job(inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out), tuple(pages))
+    return Job(inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out))
 
 
 def ask(job: Job, spec: Spec, home: Path) -> Ended:
@@ -183,8 +180,6 @@ def _collect(
         once = 0.0 if said is None else said.scene
         shutil.rmtree(images, ignore_errors=True)
         (out / name).replace(images)
-        if (page := out / f"{name}.html").is_file():
-            page.replace(cells[name].page(root))
         record = Record("done", "", seconds, once, ended.memory, origin)
         write_json(cells[name].record(root), msgspec.to_builtins(record))
     return set(found)
@@ -214,12 +209,10 @@ def _children() -> float:
     return times.children_user + times.children_system
 
 
-def origin_now(spec: Spec, weights: Mapping[str, str] | None = None) -> Origin:
+def origin_now(spec: Spec) -> Origin:
     """What makes a method's images now: this code, or the packages of its environment."""
-    loaded = dict(weights or {})
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"
     if spec.requirements:
         packages = dict(re.split(r" *(?:==|@) *", line, maxsplit=1) for line in spec.requirements)
-        return Origin(versions={"python": platform.python_version(), **packages}, weights=loaded, machine=machine)
-    known = {"python": platform.python_version(), **versions()}
-    return Origin(code=commit(), versions=known, weights=loaded, machine=machine)
+        return Origin(versions={"python": platform.python_version(), **packages}, machine=machine)
+    return Origin(code=commit(), versions={"python": platform.python_version(), **versions()}, machine=machine)

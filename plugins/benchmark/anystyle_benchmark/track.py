@@ -31,7 +31,7 @@ class SceneEntry(Struct, frozen=True, forbid_unknown_fields=True):
     Args:
         photographs: Folder of all photographs, as :meth:`Inputs.path` reads it.
         views: Stems of the photographs at whose cameras results are rendered, in the order of the capture.
-        geometry: Folder with ``VIEW.npy`` (depth along z) and ``cameras.npz`` of these views, if there is one.
+        geometry: Folder with ``depth.npz`` and ``cameras.npz`` of these views, if there is one.
         title: What it shows.
         licence: Under which the photographs may be passed on.
     """
@@ -144,21 +144,17 @@ class Inputs:
             if scene.geometry is not None:
                 folder = self.path(scene.geometry)
                 if not folder.is_dir():
-                    raise UserError(f"there is no {folder}; `anystyle benchmark geometry {self.file}` makes it")
+                    raise UserError(f"there is no folder {folder} with the depth and the cameras of {scene.name}")
                 yield from ((f"{scene.geometry}/{file.name}", file) for file in sorted(folder.iterdir()))
         yield from ((style.image, self.path(style.image)) for style in self.track.styles if style.image is not None)
 
-    def computed_hashes(self) -> dict[str, str]:
-        """SHA-256 of every input as it is now; a UserError if one is missing."""
-        found = dict(self.files())
-        if absent := [file for file in found.values() if not file.is_file()]:
-            raise UserError(f"the track {self.track.name} lacks {absent[0]}")
-        return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in found.items()}
-
     @cached_property
     def hashes(self) -> dict[str, str]:
-        """SHA-256 of every input; a UserError if one is not the track's."""
-        found = self.computed_hashes()
+        """SHA-256 of every input; a UserError if one is missing, or is not the track's."""
+        files = dict(self.files())
+        if absent := [file for file in files.values() if not file.is_file()]:
+            raise UserError(f"the track {self.track.name} lacks {absent[0]}")
+        found = {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
         if self.track.sha256 and found != self.track.sha256:
             wrong = sorted(name for name, _ in found.items() ^ self.track.sha256.items())
             raise UserError(

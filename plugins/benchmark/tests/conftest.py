@@ -11,7 +11,7 @@ def world(tmp_path_factory):
     from anystyle_benchmark.command_judge import main
 
     folder = tmp_path_factory.mktemp("world")
-    track = write_track(folder / "track", views=3, images=3, texts=1)
+    track = write_track(folder / "track", views=2, images=3, texts=1)
     write_results(track, folder / "results", ("noise", "pasted", "unstyled"), seeds=2)
     main([str(folder / "results"), "--track", str(track), "--processes", "1"])
     return track, folder / "results"

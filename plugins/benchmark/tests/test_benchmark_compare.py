@@ -1,5 +1,6 @@
-"""Methods differ where the interval of the difference says so, and people are asked by a study of two methods."""
+"""Methods differ where the interval of the difference says so."""
 
+import csv
 import json
 
 import msgspec
@@ -9,7 +10,6 @@ import pytest
 from anystyle.errors import UserError
 from anystyle_benchmark.command_compare import compare, main, sentences
 from anystyle_benchmark.results import Figures
-from anystyle_study.protocol import read_study
 from anystyle_study.statistics import Crossing, holm, t_pvalue
 
 
@@ -49,51 +49,17 @@ def test_a_method_is_not_told_from_itself(figures):
     )
     found = compare(doubled, ["unstyled", "twin"])
     assert {(one.difference, one.better, one.holm) for one in found} == {(0.0, "", None)}
-    assert sentences(found)[0] == "unstyled and twin, by images: they cannot be told apart by any figure."
+    assert sentences(found)[0] == "unstyled and twin, by images: they cannot be told apart by any score."
 
 
-def answered(study, folder, prefers):
-    """Everybody answers as the form saves it: this method is better, but for one answer in seven."""
-    folder.mkdir()
-    for number, participant in enumerate(study.participants):
-        rows = []
-        for turn, item in enumerate(participant.order):
-            ours = (item in participant.ours_is_a) == (study.ours == prefers)
-            score = (1 if ours else 5) if (turn + number) % 7 else 3
-            rows += [{"item": item, "question": question.name, "score": score} for question in study.plan.questions]
-        answers = {"study": study.id, "participant": participant.id, "responses": rows}
-        (folder / f"{participant.id}.json").write_text(json.dumps(answers))
-
-
-def test_people_are_asked_and_their_answers_stand_beside_the_figures(world, tmp_path, capsys):
-    track, results = world
-    plan = ["study=pilot", "participants=8", "degraded=0", "repeats=0", "sets=12", "image_size=64"]
-    out = tmp_path / "study"
-    main([str(results), "noise", "pasted", "--with-people", str(out), "--track", str(track), *plan])
-    assert "noise against pasted: 12 sets for 8 participants" in capsys.readouterr().out
-    study = read_study(out)
-    assert {item.scene for item in study.items} == {"scene0", "scene1", "scene2"}
-    assert [item.text for item in study.items if item.style == "text0"] == ["thick strokes in deep blue"] * 3
-    with pytest.raises(UserError, match="has no answers beside it"):
-        main([str(results), "noise", "pasted", "--answers", str(out)])
-    answered(study, out / "answers", prefers="pasted")
-    main([str(results), "noise", "pasted", "--answers", str(out), "--out", str(tmp_path / "compared")])
+def test_the_table_is_written_in_every_form(world, tmp_path, capsys):
+    main([str(world[1]), "noise", "pasted", "unstyled", "--out", str(tmp_path)])
     shown = capsys.readouterr().out
-    assert "**people prefer noise or pasted**" in shown
-    assert "- noise and pasted, overall: people prefer pasted." in shown
-    document = json.loads((tmp_path / "compared" / "compare.json").read_text())
-    assert (tmp_path / "compared" / "compare.md").read_text().rstrip() in shown
-    (overall,) = [one for one in document["people"] if one["question"] == "overall"]
-    assert overall["preference"] < -1 and overall["high"] < 0 and overall["participants"] == 8
-    assert {one["figure"] for one in document["figures"]} >= {"kid", "color_match"}
-    # What was analysed already, and the other way round.
-    main([str(results), "pasted", "noise", "--answers", str(out / "analysis"), "--out", str(tmp_path / "turned")])
-    document = json.loads((tmp_path / "turned" / "compare.json").read_text())
-    (turned,) = [one for one in document["people"] if one["question"] == "overall"]
-    assert (turned["preference"], turned["better"]) == (-overall["preference"], "pasted")
-    assert (turned["low"], turned["high"]) == (-overall["high"], -overall["low"])
-    with pytest.raises(UserError, match="of a study of noise against pasted, not of two of these"):
-        main([str(results), "pasted", "unstyled", "--answers", str(out / "analysis")])
+    assert (tmp_path / "compare.md").read_text() == shown
+    rows = list(csv.DictReader((tmp_path / "compare.csv").read_text().splitlines()))
+    found = json.loads((tmp_path / "compare.json").read_text())["figures"]
+    assert len(rows) == len(found) and {(row["methods"], row["guide"]) for row in rows} >= {("noise, pasted", "image")}
+    assert {one["figure"] for one in found} >= {"kid", "color_match"}
 
 
 @pytest.mark.parametrize(
@@ -102,17 +68,11 @@ def test_people_are_asked_and_their_answers_stand_beside_the_figures(world, tmp_
         (["noise"], "name two methods or more"),
         (["noise", "noise"], "each once"),
         (["noise", "pastel"], "Did you mean 'pasted'"),
-        (["noise", "pasted", "sets=4"], "needs --with-people"),
-        (["noise", "--with-people", "OUT", "--track", "TRACK"], "name two or more"),
-        (["noise", "pasted", "unstyled", "--with-people", "OUT", "--track", "TRACK"], "plan at most 36 sets"),
-        (["noise", "pastel", "--with-people", "OUT", "--track", "TRACK"], "Did you mean 'pasted'"),
-        (["noise", "pasted", "--answers", "OUT"], "there is no"),
     ],
 )
-def test_slips_are_one_line(world, tmp_path, words, message):
-    places = {"OUT": str(tmp_path / "out"), "TRACK": str(world[0])}
+def test_slips_are_one_line(world, words, message):
     with pytest.raises(UserError, match=message):
-        main([str(world[1]), *(places.get(word, word) for word in words)])
+        main([str(world[1]), *words])
 
 
 def test_what_was_not_judged_cannot_be_compared(tmp_path):
@@ -124,5 +84,5 @@ def test_methods_without_a_common_cell_cannot_be_compared(figures):
     cells = [cell for cell in figures.cells if cell.method != "noise" or cell.scene == "scene0"]
     cells = [cell for cell in cells if cell.method != "pasted" or cell.scene == "scene1"]
     apart = msgspec.structs.replace(figures, cells=cells, scenes=[])
-    with pytest.raises(UserError, match="noise and pasted have no figure in the same cell"):
+    with pytest.raises(UserError, match="noise and pasted have no score in the same cell"):
         compare(apart, ["unstyled", "noise", "pasted"])

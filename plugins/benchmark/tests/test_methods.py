@@ -22,7 +22,7 @@ def paint(name: str, folder: Path, named: tuple[str, ...] = PAINTINGS) -> dict[s
     (spec, home), inputs = read_spec(name), Inputs("open")
     scene = inputs.scene("bronze_axe")
     scene = replace(scene, views=scene.views[:2])
-    job = make_job(inputs, scene, [inputs.style(style) for style in named], 3, folder / "out", ())
+    job = make_job(inputs, scene, [inputs.style(style) for style in named], 3, folder / "out")
     ended = ask(replace(job, size=SIZE), spec, home)
     assert not ended.failure, ended.failure
     made = [f"{style}/{view}" for style in named for view in scene.views]

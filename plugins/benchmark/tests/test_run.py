@@ -1,7 +1,7 @@
 """Methods run in processes of their own: what they write, take and leave undone is recorded cell by cell."""
 
 import json
-import os
+import sys
 import time
 from pathlib import Path
 
@@ -211,7 +211,7 @@ def test_results_of_another_track_are_refused(world):
     ran(world, spec, "scenes=one", "styles=a")
     Image.new("RGB", (32, 32), "green").save(world / "b.png")
     kept = (world / "results" / "track.json").read_bytes()
-    with pytest.raises(UserError, match=r"results of another track \(b\.png \w{8} -> \w{8}\); use another folder"):
+    with pytest.raises(UserError, match=r"cannot hold results of .*track\.toml: its inputs differ; use another folder"):
         ran(world, spec)
     assert (world / "results" / "track.json").read_bytes() == kept
     (world / "results" / "track.json").write_text("{")
@@ -229,10 +229,9 @@ def test_a_preset_of_ours_runs_on_an_example(tmp_path, world):
     spec = world / "ours.toml"
     words = 'preset = ["model=tiny", "poses=predicted", "reconstruction=feedforward"]'
     spec.write_text(f'name = "copier"\ntitle = "T"\n{words}\nguides = ["image", "text"]')
-    records = ran(world, spec, "scenes=one", "pages=[a]")
+    records = ran(world, spec, "scenes=one")
     assert {name: record.message for (_, name), record in records.items()} == {"a": "", "b": "", "words": ""}
     assert records["one", "a"].scene_seconds > 0
-    assert [page.name for page in (world / "results/copier/0/one").glob("*.html")] == ["a.html"]
 
 
 @pytest.mark.parametrize(
@@ -254,6 +253,12 @@ def test_a_spec_that_says_too_little_or_too_much_is_refused(tmp_path, text, mess
 def test_requirements_that_do_not_exist_are_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("ANYSTYLE_ENVIRONMENTS", str(tmp_path))
     monkeypatch.setenv("PIP_NO_INDEX", "1")
+
+    def create(folder, **options):  # at once: this interpreter has pip, too
+        (folder / "bin").mkdir(parents=True)
+        (folder / "bin" / "python").symlink_to(sys.executable)
+
+    monkeypatch.setattr("venv.create", create)
     with pytest.raises(UserError, match=r"environment cannot be installed: .*no-such-package"):
         interpreter(["no-such-package==0"])
-    assert interpreter([]) == Path(os.sys.executable)
+    assert interpreter([]) == Path(sys.executable)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
-from anystyle_benchmark.command_site import QUALITIES, main
+from anystyle_benchmark.command_site import main
 from anystyle_benchmark.results import (
     FIGURES,
     CellFigures,
@@ -26,7 +26,7 @@ from anystyle_benchmark.results import (
 )
 from anystyle_benchmark.spec import Spec
 from tests.support.benchmark_world import write_results, write_track
-from tests.support.browser import accessible, phone, wait
+from tests.support.browser import accessible, wait
 
 LONG = "A method of a very long name that goes on and on, for a paper of " + "unbreakable" * 5
 HOSTILE = '</script><img src=x onerror=alert(1)> & "pasted"'
@@ -104,7 +104,6 @@ def judged(tmp_path_factory):
     track = write_track(folder / "track", scenes=2, images=2, texts=1, views=4)
     inputs = write_results(track, folder / "results", seeds=2)
     write_figures(inputs, folder / "results")
-    (folder / "results/noise/0/scene0/image0.html").write_text("<h1>a splat</h1>")
     return track, folder / "results"
 
 
@@ -120,12 +119,6 @@ def site(judged, tmp_path_factory):
 def index(page, site):
     """Its first page in a browser; nothing was amiss by the end."""
     return _opened(page, site / "index.html")
-
-
-@pytest.fixture
-def compare(page, site):
-    """Its page of pictures in a browser."""
-    return _opened(page, site / "compare.html")
 
 
 def _opened(page, path, place=""):
@@ -238,9 +231,8 @@ def test_a_number_opens_the_pictures_behind_it(errors, index, site):
     assert index.evaluate("document.activeElement.closest('td').dataset.name") == "color_match"
     index.click("table[data-guide=image] [data-method=palette] td[data-name=kid] button")  # of all styles of a scene
     assert text(index, "dialog li", "innerText").split("\n")[0] == "2 (the scene's)"
-    assert text(index, "dialog a", "href").endswith("compare.html#scene0/image0/000")
-    index.click("dialog a")
-    wait(index, "!!document.querySelector('.cell')")
+    assert text(index, "dialog a", "href") == (site / "cells/palette/scene0/image0.avif").as_uri()
+    assert text(index, "dialog .style", "alt") == "image0"
     assert errors == []
 
 
@@ -257,7 +249,7 @@ def test_cost_against_quality_is_drawn_with_intervals(index):
     set_value(index, "#axes [name=metric]", "kid")
     assert "kid, lower is better" in index.evaluate(labels)
     set_value(index, "#axes [name=guide]", "text")
-    assert "No method has this figure" in text(index, "#plot")
+    assert "No method has this score" in text(index, "#plot")
 
 
 def test_methods_have_cards(errors, index):
@@ -274,83 +266,13 @@ def test_methods_have_cards(errors, index):
     assert errors == []
 
 
-def test_all_methods_are_side_by_side_and_one_slider_moves_them(errors, compare, site):
-    shown = "[...document.querySelectorAll('.cell:not([hidden]) h2')].map((node) => node.textContent)"
-    assert compare.evaluate(shown) == ["The photographs", LONG, HOSTILE, "Palette"]
-    wait(compare, "[...document.querySelectorAll('.strip img')].every((image) => image.complete && image.naturalWidth)")
-    tops = """[...document.querySelectorAll('.strip')].map((strip) => {
-        const [window, views] = [strip, strip.firstChild].map((node) => node.getBoundingClientRect());
-        return (window.top - views.top) / window.height;
-    })"""
-    assert compare.evaluate(tops) == pytest.approx([0.01] * 5, abs=0.005)
-    compare.focus("[name=view]")
-    for _ in range(2):
-        compare.keyboard.press("ArrowRight")
-    assert compare.evaluate(tops) == pytest.approx([2.05] * 5, abs=0.01)
-    assert compare.evaluate("location.hash") == "#scene0/image0/002"
-    assert text(compare, "[name=view]", "ariaValueText") == "3 of 4, 002"
-    assert text(compare, "output") == "3 of 4: 002"
-    alts = compare.evaluate("[...document.images].map((image) => image.alt)")
-    assert alts[:3] == ["Photograph, view 3 of 4", "image0", "The photographs, view 3 of 4"]
-    assert text(compare, ".cell a", "href").endswith("cells/noise/scene0/image0.html")
-    assert (site / "cells/noise/scene0/image0.html").read_text() == "<h1>a splat</h1>"
-    assert text(compare, "dd[data-metric=color_match][data-rank=best]") == "0.1"
-    compare.click("[name=baselines]")
-    assert compare.evaluate(shown) == [LONG, HOSTILE, "Palette"]
-    assert errors == []
-
-
-def test_links_keep_scene_style_and_view(errors, compare, site):
-    _opened(compare, site / "compare.html", "#scene1/image1/001")
-    wait(compare, "document.querySelector('[name=scene]').value === 'scene1'")
-    assert text(compare, ".said") == f"failed: {MESSAGE}"
-    assert text(compare, "output") == "2 of 4: 001"
-    set_value(compare, "[name=style]", "text0")
-    assert compare.evaluate("location.hash") == "#scene1/text0/001"
-    assert text(compare, "blockquote") == "thick strokes in deep blue"
-    assert compare.evaluate("document.querySelectorAll('.cell').length") == 2
-    assert text(compare, "#status") == "scene1 in text0: 2 methods"
-    for strange in ("#nowhere/%E0%A4%A/9", "#scene0"):
-        compare.evaluate(f"location.hash = '{strange}'")
-        wait(compare, "document.querySelector('[name=scene]').value === 'scene0'")
-    assert errors == []
-
-
-def test_views_play_there_and_back_and_can_be_stopped(compare):
-    view = "Number(document.querySelector('[name=view]').value)"
-    compare.click("[name=play]")
-    assert text(compare, "[name=play]") == "Pause"
-    wait(compare, f"{view} === 3")
-    wait(compare, f"{view} === 1")
-    compare.click("[name=play]")
-    stopped = compare.evaluate(view)
-    assert compare.evaluate(f"new Promise((done) => setTimeout(() => done({view}), 600))") == stopped
-    assert compare.evaluate("location.hash") == f"#scene0/image0/00{stopped}"
-    compare.emulate_media(reduced_motion="reduce")
-    compare.click("[name=play]")
-    assert compare.evaluate(f"new Promise((done) => setTimeout(() => done({view}), 700))") == stopped  # slowly
-    compare.click("[name=play]")
-
-
-@pytest.mark.parametrize("name", ["index.html", "compare.html"])
 @pytest.mark.parametrize(("width", "height"), [(320, 256), (390, 844), (1440, 900)])  # 320: a desktop at 400 %
-def test_no_page_is_wider_than_its_window(page, site, name, width, height):
+def test_the_page_is_not_wider_than_its_window(page, site, width, height):
     page.set_viewport_size({"width": width, "height": height})
-    _opened(page, site / name)
+    _opened(page, site / "index.html")
     assert text(page, "html", "clientWidth") == text(page, "html", "scrollWidth") <= width
-    if name == "index.html":
-        page.click("table[data-guide=image] tbody tr:last-child td button")
-        assert text(page, "dialog", "scrollWidth") == text(page, "dialog", "clientWidth")
-
-
-def test_a_phone_keeps_the_slider_in_sight(compare):
-    phone(compare, 390, 844)
-    compare.evaluate("scrollTo(0, document.body.scrollHeight)")
-    box = "document.querySelector('[name=view]').getBoundingClientRect()"
-    top, bottom, width = compare.evaluate(f"(() => {{ const b = {box}; return [b.top, b.bottom, b.width]; }})()")
-    assert 600 < top < bottom <= 844 and width > 150
-    last = compare.evaluate("[...document.querySelectorAll('.cell')].at(-1).getBoundingClientRect().bottom")
-    assert last < top
+    page.click("table[data-guide=image] tbody tr:last-child td button")
+    assert text(page, "dialog", "scrollWidth") == text(page, "dialog", "clientWidth")
 
 
 CONTRAST = """(() => {
@@ -375,11 +297,10 @@ CONTRAST = """(() => {
 """The lowest ratio of contrast between words and what is under them, and where it is."""
 
 
-@pytest.mark.parametrize("name", ["index.html", "compare.html#scene1/image1/001"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_words_can_be_read_in_light_and_dark(page, site, name, scheme):
+def test_words_can_be_read_in_light_and_dark(page, site, scheme):
     page.emulate_media(color_scheme=scheme)
-    _opened(page, site, f"/{name}")
+    _opened(page, site / "index.html")
     ratio, where = page.evaluate(CONTRAST)
     assert ratio >= 4.5, where
     ground = page.evaluate("getComputedStyle(document.documentElement).backgroundColor")
@@ -403,43 +324,37 @@ def test_a_screen_reader_is_told_everything(page, site):
         ("searchbox", "Method"),
         ("heading", "Track “small”, version 1"),
         ("region", "Guided by images"),
-        ("combobox", "Figure"),
+        ("combobox", "Score"),
     } <= found
     assert any(role == "button" and name == "0.1 (95 % interval 0 to 0.2) best" for role, name in found)
     page.evaluate("document.body.focus()")
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.className") == "skip"
-    _opened(page, site / "compare.html")
+    page.click("table[data-guide=image] [data-method=palette] td[data-name=color_match] button")
     nodes = accessible(page)
     assert [one for one in nodes if one[0] in CONTROLS and not one[1].strip()] == []
-    assert {
-        ("slider", "View"),
-        ("button", "Play"),
-        ("combobox", "Style"),
-        ("article", "Palette"),
-        ("image", "Palette, view 1 of 4"),
-    } <= {*nodes}
+    assert {("dialog", "Palette: color match"), ("image", "image0")} <= {*nodes}
 
 
 def test_nothing_is_asked_of_the_network(page, errors, site):
     asked = []
     page.on("request", lambda request: asked.append(request.url))
-    for name in ("index.html", "compare.html"):
-        _opened(page, site / name)
-        wait(page, "[...document.images].every((image) => image.complete)")
-    assert len(asked) > 10
+    _opened(page, site / "index.html")
+    page.click("table[data-guide=image] [data-method=palette] td[data-name=color_match] button")
+    wait(page, "[...document.images].every((image) => image.complete)")
+    assert len(asked) > 8
     assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
     assert errors == []
 
 
-def test_pictures_are_as_good_as_the_size_allows(world, tmp_path, capsys):
+def test_pictures_are_as_small_as_is_asked(world, tmp_path, capsys):
     track, results = world  # as the judge left them
     words = [str(results), "--track", str(track), "--out", str(tmp_path / "site")]
     main(words)
-    assert f"quality {QUALITIES[0][1]}" in capsys.readouterr().out
-    size = sum(path.stat().st_size for path in (tmp_path / "site").rglob("*.*"))
+    assert re.search(r"site/index.html: 0\.\d MB", capsys.readouterr().out)
+    large = (tmp_path / "site/cells/pasted/scene0/image0.avif").stat().st_size
     with Image.open(tmp_path / "site/cells/pasted/scene0/image0.avif") as strip:
-        assert strip.size == (64, 3 * 48)
+        assert strip.size == (64, 2 * 48)
     with Image.open(tmp_path / "site/styles/image0.avif") as style:
         assert style.size == (50, 60)
     first = (tmp_path / "site/index.html").read_text()
@@ -447,14 +362,8 @@ def test_pictures_are_as_good_as_the_size_allows(world, tmp_path, capsys):
     assert {"color_match", "style_retrieval", "kid"} <= set(chosen)
     assert "style_retrieval_gray" not in chosen  # the second of its metric
     assert 'value="style_retrieval_gray"' in first
-    bound = 0.9 * size / 1e6
-    main([*words, "--megabytes", str(bound)])  # over the first, which is replaced
-    assert f"quality {QUALITIES[0][1]}" not in capsys.readouterr().out
-    assert sum(path.stat().st_size for path in (tmp_path / "site").rglob("*.*")) <= bound * 1e6
-    before = {path: path.read_bytes() for path in (tmp_path / "site").rglob("*.*") if path.is_file()}
-    with pytest.raises(UserError, match=r"do not fit in 0\.05 MB; raise --megabytes"):
-        main([*words, "--megabytes", "0.05"])
-    assert {path: path.read_bytes() for path in (tmp_path / "site").rglob("*.*") if path.is_file()} == before
+    main([*words, "--quality", "10"])  # over the first, which is replaced
+    assert (tmp_path / "site/cells/pasted/scene0/image0.avif").stat().st_size < large
 
 
 def test_one_method_without_figures_makes_a_site(page, errors, tmp_path):
@@ -469,8 +378,6 @@ def test_one_method_without_figures_makes_a_site(page, errors, tmp_path):
     _opened(page, tmp_path / "site/index.html")
     assert names(page, "text") == ["noise"]
     wait(page, "document.getElementById('plot').textContent.includes('No method')")
-    _opened(page, tmp_path / "site/compare.html")
-    assert page.evaluate("document.querySelectorAll('.cell').length") == 1
     assert errors == []
 
 
@@ -481,7 +388,7 @@ def test_slips_are_one_line(judged, tmp_path):
     for args, message in (
         ([tmp_path], r"there is no .*figures.json; run `anystyle benchmark judge"),
         ([results, "--track", other], "another version of track or judge"),
-        ([results, "--track", track, "--megabytes", "nan"], "--megabytes"),
+        ([results, "--track", track, "--quality", "0"], "give 1 to 100"),
     ):
         with pytest.raises(UserError, match=message):
             main([*map(str, args), *out])

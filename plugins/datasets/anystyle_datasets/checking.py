@@ -25,7 +25,7 @@ from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, pictures_below, read_list
 
 P = TypeVar("P", Path, bytes)
-Layout = Literal["scenes", "re10k", "styles", "wikiart"]
+FolderKind = Literal["scenes", "re10k", "styles", "wikiart"]
 INDEX = "train_index.json"
 """DL3DV's list of scenes."""
 REDUCED = ("images_8", "images_4")
@@ -43,7 +43,7 @@ IMAGE_FOLDERS: dict[str, str | None] = {
 class FolderReport:
     """What a folder holds, and the overrides (``use``) that train on it."""
 
-    layout: Layout
+    layout: FolderKind
     use: str
     usable: list[str] = field(default_factory=list)  # names of the scenes with enough views; none for styles
     unlisted: bool = False  # ``use`` names a list of scenes that is not there
@@ -55,7 +55,7 @@ class FolderReport:
     problems: list[str] = field(default_factory=list)
 
 
-def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decode: bool = True) -> FolderReport:
+def check(root: Path, *, layout: FolderKind | None = None, min_views: int = 2, decode: bool = True) -> FolderReport:
     """Look at every file of a folder of scenes or styles.
 
     The layout is recognised if none is given; scenes with fewer views than ``min_views`` are reported. Without
@@ -78,7 +78,7 @@ def locate(root: Path) -> Path:
     return root if guess(inner) == "scenes" else inner
 
 
-def guess(root: Path) -> Layout:
+def guess(root: Path) -> FolderKind:
     """How a folder is laid out, by what lies in it."""
     splits = [root / split for split in ("train", "test")]
     if any((split / "index.json").is_file() or any(split.glob("*.txt")) for split in splits):

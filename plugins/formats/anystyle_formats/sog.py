@@ -24,7 +24,7 @@ from anystyle.io.images import opened, require_pixels
 from anystyle.io.limits import require
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import near
-from anystyle.types import StyledScene
+from anystyle.types import ANTIALIASED, StyledScene
 from anystyle_formats.packing import Columns, columns_of, in_bytes, in_words, morton_order, smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
 
@@ -44,8 +44,8 @@ class Sog(Format):
         order = morton_order(columns.means)
         columns = Columns(*(column[order] for column in columns))
         (shape, images), (colors, more) = _encoded_shape(columns), _encoded_colors(columns)
-        asset = {"generator": "anystyle", "copyright": "\n".join(scene.notes)}
-        meta = {"version": 2, "asset": asset, "count": len(order), "antialias": False, **shape, **colors}
+        asset = {"generator": "anystyle", "copyright": "\n".join(note for note in scene.notes if note != ANTIALIASED)}
+        meta = {"version": 2, "asset": asset, "count": len(order), "antialias": scene.antialiased, **shape, **colors}
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             for name, data in {"meta.json": json.dumps(meta).encode(), **images, **more}.items():
                 archive.writestr(zipfile.ZipInfo(name), data)
@@ -58,6 +58,7 @@ class Sog(Format):
             positions, offset = near(means, remarks)
             scene = gaussians(remarks, positions, *columns)
             notes = str(meta.get("asset", {}).get("copyright", "")).splitlines()
+            notes += [ANTIALIASED] * bool(meta.get("antialias"))
         return StyledScene(((path.stem, scene),), notes=tuple(notes), offset=offset)
 
 

@@ -17,7 +17,7 @@ from anystyle.errors import MissingExtra, UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import Remarks
-from anystyle.types import Gaussians, StyledScene
+from anystyle.types import ANTIALIASED, Gaussians, StyledScene
 from anystyle_formats.packing import columns_of, in_bytes, joined_bits, smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
 
@@ -55,7 +55,7 @@ class Spz(Format):
             _packed_rotations(rotations[:, [1, 2, 3, 0]]),
             in_bytes(harmonics[:, 1 : (degree + 1) ** 2] * 128 + 128),
         ]
-        header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(means), degree, bits, 0, 0)
+        header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(means), degree, bits, int(scene.antialiased), 0)
         with atomic_path(path) as temporary:
             temporary.write_bytes(gzip.compress(header + b"".join(column.tobytes() for column in columns), mtime=0))
 
@@ -63,7 +63,13 @@ class Spz(Format):
         with reading(path, "SPZ file") as remarks:
             data = path.read_bytes()
             scene, up = decoded(data, remarks), _stated_up(data) or self.up
-        return StyledScene(((path.stem, scene),), up=up)
+            notes = (ANTIALIASED,) if _flags(data) & 1 else ()
+        return StyledScene(((path.stem, scene),), notes=notes, up=up)
+
+
+def _flags(data: bytes) -> int:
+    """Bit 0: trained with antialiasing. Bit 1: there are extensions."""
+    return (data if data.startswith(_START) else gzip.GzipFile(fileobj=io.BytesIO(data)).read(16))[14]
 
 
 def _stated_up(data: bytes) -> str | None:

@@ -18,10 +18,10 @@ from anystyle.commands import stylize
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io import ply
-from anystyle.pipeline.export import export, in_axes
+from anystyle.pipeline.export import export, export_styles, in_axes
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
-from anystyle.types import Gaussians, StyledScene
+from anystyle.types import ANTIALIASED, Gaussians, StyledScene
 from tests.support.export_readers import SPLAT_TRANSFORM
 from tests.support.export_scene import LEAST, picture, psnr, scene
 
@@ -197,3 +197,22 @@ def test_a_sog_of_vast_images_is_refused(tmp_path):
                 archive.writestr(name, data)
         with pytest.raises(UserError, match=r"vast\.sog"):
             read_saved(tmp_path / "vast.sog")
+
+
+@pytest.mark.parametrize("first", ["ply", "spz", "sog"])
+def test_antialiasing_of_the_training_is_carried_and_told(tmp_path, caplog, first):
+    """A comment in PLY, a bit in SPZ, a key in SOG: each is read into the others, and no other file says it."""
+    for marked in (True, False):
+        given = StyledScene((("", scene(1)),), notes=("mine", ANTIALIASED) if marked else ("mine",))
+        export_styles(given, tmp_path / f"{marked}.{first}", first)
+        caplog.clear()
+        read = read_saved(tmp_path / f"{marked}.{first}")
+        assert read.antialiased == marked and "mine" in read.notes
+        assert ("trained with antialiasing" in caplog.text) == marked
+        for name in ("ply", "spz", "sog"):
+            export_styles(read, tmp_path / f"again.{name}", name)
+            assert read_saved(tmp_path / f"again.{name}").antialiased == marked
+        assert (gzip.decompress((tmp_path / "again.spz").read_bytes())[14] == 1) == marked
+        with zipfile.ZipFile(tmp_path / "again.sog") as archive:
+            meta = json.loads(archive.read("meta.json"))
+        assert meta["antialias"] == marked and meta["asset"]["copyright"] == "mine"

@@ -1,30 +1,22 @@
-"""The benchmark's metrics against numpy, SciPy, torch's own transformer and scenes that are known."""
-
-from dataclasses import replace
+"""Metrics against numpy, SciPy, torch's own transformer and scenes that are known."""
 
 import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.distance import cdist
-from scipy.spatial.transform import Rotation
 from torch import nn
 
 from anystyle.correspondences.rendered_depth import RenderedDepth
 from anystyle.data.images import read_square
 from anystyle.errors import UserError
-from anystyle.geometry.cameras import look_at
 from anystyle.testing.oracle import smooth_image
-from anystyle.types import Cameras, Comparison, Frames, Style
-from anystyle_cpu_renderer.renderer import CpuRenderer
+from anystyle.types import Comparison, Frames, Style
 from anystyle_metrics import dino
-from anystyle_metrics.color_histogram import ColorHistogram, rgb_histogram
 from anystyle_metrics.csd import CSD
-from anystyle_metrics.geometry_survival import GeometrySurvival, pose_error
 from anystyle_metrics.met3r import Met3rDepth
-from anystyle_metrics.sharpness import Sharpness
 from anystyle_metrics.structure_distance import StructureDistance
-from tests.support.known_scene import photographed_wall, wall
+from tests.support.known_scene import photographed_wall
 from tests.support.real_data import real
 
 
@@ -174,60 +166,6 @@ def test_views_are_neighbours_by_their_numbers():
     assert some == pytest.approx(np.mean(pairs), rel=1e-5)
     with pytest.warns(UserWarning, match="no two views"):
         assert np.isnan(found(Met3rDepth(weights="stand_in"), [0, 1], (0, 2))["met3r_depth"])
-    poses = [found(GeometrySurvival(min_side=128), *given) for given in (([0, 2, 3], (0, 2, 3)), ([2, 3],))]
-    np.testing.assert_equal(*poses)
-
-
-def test_color_histogram_is_numpys():
-    first, second = torch.rand(2, 3, 40, 50), smooth_image(6, [3, 60, 30])
-    pixels = [image.flatten(1).T.double().numpy() for image in (*first, second)]
-    shares = [np.histogramdd(values, bins=8, range=[(0, 1)] * 3)[0] / len(values) for values in pixels]
-    np.testing.assert_allclose(rgb_histogram(first).numpy(), np.stack(shares[:2]).reshape(2, -1), atol=1e-12)
-    expected = np.mean([np.abs(share - shares[2]).sum() / 2 for share in shares[:2]])
-    found = figures(ColorHistogram(), first, first, second)["color_histogram"]
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
-
-
-def test_sharpness_is_a_ratio_of_steps():
-    images = torch.rand(3, 3, 20, 30, generator=torch.Generator().manual_seed(0))
-    blurred = torch.from_numpy(gaussian_filter(images.numpy(), (0, 0, 1, 1)))
-    steps = [
-        np.concatenate([np.abs(np.diff(each.numpy(), axis=axis)).ravel() for axis in (2, 3)]).mean()
-        for each in (blurred, images)
-    ]
-    np.testing.assert_allclose(figures(Sharpness(), images, blurred)["sharpness"], steps[0] / steps[1], rtol=1e-5)
-    with pytest.warns(UserWarning, match="no image that can be judged"):
-        assert np.isnan(figures(Sharpness(), torch.zeros_like(images), images)["sharpness"])
-
-
-def test_errors_of_motions_are_scipys():
-    known, found = np.eye(4), np.zeros((3, 4))
-    known[:3, :3], known[:3, 3] = Rotation.random(random_state=1).as_matrix(), [0.2, 0.0, 0.0]
-    found[:, :3], found[:, 3] = Rotation.from_rotvec([0, 0.1, 0]).as_matrix() @ known[:3, :3], [3.0, 0.1, 0.0]
-    assert pose_error(found, known) == pytest.approx(np.degrees(0.1))
-    found[:, 3] = [0.0, 0.0, -2.0]
-    assert pose_error(found, known) == pytest.approx(90)
-    known[:3, 3] = 0
-    assert pose_error(found, known) == pytest.approx(np.degrees(0.1))
-
-
-def test_geometry_of_a_known_scene_survives_and_that_of_noise_does_not():
-    angle = torch.linspace(-0.15, 0.15, 3)
-    eyes = 3 * torch.stack([angle.sin(), torch.zeros(3), -angle.cos()], 1)
-    size = (192, 256)
-    intrinsics = torch.tensor([[260.0, 0, 128], [0, 260.0, 96], [0, 0, 1]]).repeat(1, 3, 1, 1)
-    cameras = Cameras(look_at(eyes, torch.zeros(3, 3))[None], intrinsics, size)
-    scene = replace(wall(), scales=torch.full_like(wall().scales, 0.03))
-    with torch.no_grad():
-        images = CpuRenderer(background=(0.0, 0.0, 0.0))(scene, cameras).color[0]
-    metric, pasted_views = GeometrySurvival(), images[:1].expand_as(images)
-    found, again, pasted, noise = (
-        figures(metric, images, row, cameras=cameras) for row in (images, images, pasted_views, noise_like(images))
-    )
-    assert found["registered"] == 1 and found["camera_error"] < 6 and found["pose_auc"] > 0.7
-    assert pasted["pose_auc"] < 0.1 and noise["pose_auc"] == noise["registered"] == 0
-    assert np.isnan(noise["camera_error"])
-    assert again == found  # views that are the same are not matched twice, and others are
 
 
 def test_csd_is_the_cosine_of_the_style_heads_outputs(tmp_path):

@@ -83,21 +83,9 @@ def check(
         given = [answer for answer in answers if not math.isnan(answer.score)]
         _check_straight_lining(person, given, rules, checks)
         # Without a design, only sets with a row count as assigned.
-        sets, answered = records.assigned.get(person, len(items[person])), Counter(one.question for one in given)
-        lacking = {question: sets * count - answered[question] for question, count in asked.items()}
-        if lacking := {question: count for question, count in lacking.items() if count > 0}:
-            checks.missing[person] = lacking
-            missing, expected = sum(lacking.values()), sets * sum(asked.values())
-            strict = missing > rules.missing_share * expected
-            rule = f"more than {rules.missing_share:.0%} of the assigned answers missing" if strict else ""
-            listed = ", ".join(f"{question} {count}" for question, count in lacking.items())
-            checks.add("missing", person, f"{missing} of {expected} answers ({listed})", rule)
-        # A set takes as long as the slowest of its answers.
-        timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
-        if fast := sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed):
-            strict = fast > rules.fast_share * len(timed)
-            rule = f"more than {rules.fast_share:.0%} of the sets answered too fast" if strict else ""
-            checks.add("fast", person, f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s", rule)
+        sets = records.assigned.get(person, len(items[person]))
+        _check_missing(person, given, {question: sets * count for question, count in asked.items()}, rules, checks)
+        _check_speed(person, answers, rules, checks)
     excluded = {exclusion.participant for exclusion in checks.exclusions}
     remaining = [answer for answer in main if not math.isnan(answer.score) and answer.participant not in excluded]
     responses = tuple(part for part in split(remaining, by_question) if part.count)
@@ -200,6 +188,31 @@ def _check_straight_lining(person: str, given: Sequence[Answer], rules: Rules, c
         checks.add("straight_lining", person, detail, rule)
 
 
+def _check_missing(
+    person: str, given: Sequence[Answer], expected: Mapping[str, int], rules: Rules, checks: Checks
+) -> None:
+    """Answers that are missing of the number expected to each question."""
+    answered = Counter(answer.question for answer in given)
+    lacking = {question: count - answered[question] for question, count in expected.items()}
+    lacking = {question: count for question, count in lacking.items() if count > 0}
+    if lacking:
+        checks.missing[person] = lacking
+        missing, total = sum(lacking.values()), sum(expected.values())
+        strict = missing > rules.missing_share * total
+        rule = f"more than {rules.missing_share:.0%} of the assigned answers missing" if strict else ""
+        listed = ", ".join(f"{question} {count}" for question, count in lacking.items())
+        checks.add("missing", person, f"{missing} of {total} answers ({listed})", rule)
+
+
+def _check_speed(person: str, answers: Sequence[Answer], rules: Rules, checks: Checks) -> None:
+    """Sets that were answered too fast; a set takes as long as the slowest of its answers."""
+    timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
+    if fast := sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed):
+        strict = fast > rules.fast_share * len(timed)
+        rule = f"more than {rules.fast_share:.0%} of the sets answered too fast" if strict else ""
+        checks.add("fast", person, f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s", rule)
+
+
 def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Checks) -> list[Answer]:
     def outside(answer: Answer) -> bool:
         return answer.score < scales[answer.question].low or answer.score > scales[answer.question].high
@@ -221,11 +234,8 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
 
 def _deduplicated(answers: Sequence[Answer], checks: Checks) -> list[Answer]:
     """Keep the first of several answers to the same question of the same set; a missing one is none."""
-    cells: dict[tuple[str, ...], list[Answer]] = defaultdict(list)
-    for answer in answers:
-        cells[answer.cell].append(answer)
     kept, people, sources, differ = [], Counter[str](), set[str](), 0
-    for same in cells.values():
+    for same in _grouped(answers, "cell").values():
         given = [answer for answer in same if not math.isnan(answer.score)]
         kept.append((given or same)[0])
         if len(given) > 1:

@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from anystyle_study.reading import read_responses
 CONF = Path(__file__).parent / "conf"
 
 
+@cache
 def _register_plan() -> None:
     """Make the plan's options known to Hydra, with their defaults, before a preset changes them."""
     ConfigStore.instance().store(group="study", name="_plan", node=plan_defaults(), provider="anystyle-study")
@@ -52,12 +53,8 @@ def compose_command(name: str, overrides: Sequence[str] = ()) -> DictConfig:
     return compose(f"study_{name}", overrides, conf=CONF)
 
 
-def read_plan(overrides: Sequence[str] = ()) -> Plan:
-    """The plan that words such as ``study=pilot`` and ``study.participants=8`` compose; by default ``study=paper``."""
-    return _plan(compose_command("design", overrides))
-
-
-def _plan(config: DictConfig) -> Plan:
+def plan_of(config: DictConfig) -> Plan:
+    """The plan of a composed configuration of ``anystyle study design``."""
     values: Any = OmegaConf.to_container(config.study, resolve=True)
     return plan_from(values)
 
@@ -82,7 +79,7 @@ def design_parser() -> argparse.ArgumentParser:
 
 def design_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Draw a study."""
-    plan = _plan(config)
+    plan = plan_of(config)
     for name in ("styles", "contents"):
         if getattr(arguments, name) is None:
             raise UserError(f"--{name} FOLDER is missing; participants see photograph and style beside the pair")
@@ -203,11 +200,6 @@ def analyze_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     for item in analysis.checks.exclusions:
         print(f"excluded: {item.participant} ({item.rule})")
     print(out / ("analysis.json" if arguments.no_report else "report.html"))
-
-
-def analyze_command(arguments: argparse.Namespace) -> None:
-    """Analyse answers with the default tests."""
-    analyze_job(compose_command("analyze"), arguments)
 
 
 def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> None:

@@ -22,10 +22,10 @@ def check_names(answers: Sequence[Answer]) -> None:
         text = re.sub(r"^(\d+)\.0+$", r"\1", text)  # a number of a column with gaps
         spelt.setdefault(re.sub(r"(?<!\d)0+(?=\d)", "", text), set()).add(name)
     if found := sorted(sorted(names) for names in spelt.values() if len(names) > 1):
-        more = f", and {len(found) - 1} others so" if len(found) > 1 else ""
+        more = f" (and {len(found) - 1} more such names)" if len(found) > 1 else ""
         raise UserError(
-            f"people are named {' and '.join(map(repr, found[0]))}{more}: names that differ in case, blanks, "
-            "dashes or zeros alone; give each person one name"
+            f"people are named {' and '.join(map(repr, found[0]))}{more}, which differ in case, blanks, dashes or "
+            "zeros alone; give each person one name"
         )
 
 
@@ -40,17 +40,17 @@ def check_sources(answers: Sequence[Answer]) -> None:
     common = {cell: answers for cell, answers in given.items() if len(answers) > 1}
     differing = [cell for cell, answers in common.items() if len(set(answers.values())) > 1]
     people = {cell[0] for cell in differing}
-    apart = "if they are other people in each, --sessions names them apart"
     if people:
         where = {source for cell in differing for source in common[cell]}
         raise UserError(
             f"{some(people)} answered {len(differing)} of the {len(common)} questions that are in "
-            f"{some(where, ' and ')} differently: {apart}; else leave one of their answers out"
+            f"{some(where, ' and ')} differently: add --sessions if they are different people, or leave one of their "
+            "answers out"
         )
     if several := {name for name, sources in places.items() if len(sources) > 1}:
         where = {source for name in several for source in places[name]}
-        told = "%s are in %s, and count as the same people; %s"
-        log.warning(told, some(several), some(where, " and "), apart)
+        told = "%s are in %s, and count as the same people; add --sessions if they are different ones"
+        log.warning(told, some(several), some(where, " and "))
 
 
 def some(names: Collection[str], last: str = ", ") -> str:

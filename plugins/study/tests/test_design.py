@@ -12,7 +12,7 @@ from PIL import Image
 
 from anystyle_study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders
 from anystyle_study.command import StudyCommand
-from anystyle_study.commands import read_plan
+from anystyle_study.commands import compose_command, plan_of
 from anystyle_study.design import Sources, balance, design
 from anystyle_study.page import sequence
 from anystyle_study.protocol import Rules, read_study
@@ -24,6 +24,10 @@ def opened(path):
     with Image.open(path) as image:
         image.load()
         return image
+
+
+def read_plan(words):
+    return plan_of(compose_command("design", words))
 
 
 HARD = "On a scale from 1 (very difficult) to 5 (very easy), how hard it is to recognize original content on images"

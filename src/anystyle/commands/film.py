@@ -13,9 +13,12 @@ from anystyle.cli.run import run, words_of
 from anystyle.contracts import Renderer
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
+from anystyle.pipeline.beside import with_stored_cameras
+from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.film import Film
+from anystyle.pipeline.inputs import file_of
 from anystyle.pipeline.load import default_device
-from anystyle.pipeline.saved import read_saved, with_stored_cameras
+from anystyle.pipeline.saved import read_unturned
 from anystyle.registry.build import build
 from anystyle.registry.compose import options
 
@@ -47,8 +50,9 @@ def main(words: Sequence[str] | None = None) -> None:
 def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Film what the arguments name as a configuration says."""
     video, splat, render = Film(options(config, "video")), options(config, "splat"), build(Renderer, config.renderer)
-    saved = read_saved(arguments.scene, splat.up, activated=splat.activated)
-    saved = with_stored_cameras(saved, arguments.scene, splat.folder)
+    path = file_of(arguments.scene)
+    given = read_unturned(path, splat.up, activated=splat.activated)
+    saved = with_stored_cameras(in_axes("opencv", given), path, splat.folder, given.up)
     titles = [title for title, _ in saved.styles]
     if arguments.style not in (None, *titles):
         raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")

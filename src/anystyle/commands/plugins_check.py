@@ -10,14 +10,14 @@ from anystyle.registry.catalog import catalog, kinds
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``anystyle plugins check``; returns the exit status."""
-    words = new_parser(
+    parser = new_parser(
         "plugins check",
         "Run the contract of a plugin, installed or not: one line per promise, and for each that is broken what "
         "was promised and what was found. Exit status 0 if all promises are kept, else 2.",
     )
-    words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
-    words.add_argument("name", metavar="NAME", help="a plugin of that kind")
-    arguments = parse(words, words_of(argv))
+    parser.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
+    parser.add_argument("name", metavar="NAME", help="a plugin of that kind")
+    arguments = parse(parser, words_of(argv))
     plugin = catalog().find(arguments.kind, arguments.name)
 
     from anystyle.testing import check

@@ -24,15 +24,15 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``anystyle plugins new``."""
-    words = new_parser(
+    parser = new_parser(
         "plugins new",
         "Write a folder with a small plugin that keeps its contract: a class, the line that declares it, a test "
         "and a README.",
     )
-    words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
-    words.add_argument("name", metavar="NAME", help="its name: a-z, 0-9 and '_'")
-    words.add_argument("--into", metavar="DIR", type=Path, default=Path("plugins"), help="where (default: plugins)")
-    arguments = parse(words, words_of(argv))
+    parser.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
+    parser.add_argument("name", metavar="NAME", help="its name: a-z, 0-9 and '_'")
+    parser.add_argument("--into", metavar="DIR", type=Path, default=Path("plugins"), help="where (default: plugins)")
+    arguments = parse(parser, words_of(argv))
     folder = write(arguments.kind, arguments.name, arguments.into)
     module = f"anystyle_{arguments.name}"
     print(f"wrote {folder}: {module}.py, pyproject.toml, test_{module}.py, README.md")

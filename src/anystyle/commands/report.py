@@ -14,20 +14,20 @@ from anystyle.io.sheet import contact_sheet
 
 
 def parser() -> argparse.ArgumentParser:
-    """The words of ``anystyle report``."""
-    words = new_parser(
+    """The flags of ``anystyle report``."""
+    flags = new_parser(
         "report",
         "Set runs side by side: evaluations, trainings, the jobs of a multirun. A row for each variant "
         "(runs that differ by seed alone are one), figures in columns; jobs that failed are marked so in their row.",
         epilog="anystyle report verify DIR makes figures of such a table again, and compares them.",
     )
-    words.add_argument("folders", nargs="*", type=Path, metavar="DIR", help="a run, a multirun, or a folder of these")
-    words.add_argument("--figures", default="", metavar="A,B", help="which figures, in this order (default: all)")
-    words.add_argument("--scenes", action="store_true", help="columns for each scene, not their mean")
-    words.add_argument("--with-published", action="store_true", help="with rows that papers printed, scene by scene")
-    words.add_argument("--published", type=Path, action="append", default=[], metavar="FILE", help="more such rows")
-    words.add_argument("--out", type=Path, help="where the files go (default: DIR/report)")
-    return words
+    flags.add_argument("folders", nargs="*", type=Path, metavar="DIR", help="a run, a multirun, or a folder of these")
+    flags.add_argument("--figures", default="", metavar="A,B", help="which figures, in this order (default: all)")
+    flags.add_argument("--scenes", action="store_true", help="columns for each scene, not their mean")
+    flags.add_argument("--with-published", action="store_true", help="with rows that papers printed, scene by scene")
+    flags.add_argument("--published", type=Path, action="append", default=[], metavar="FILE", help="more such rows")
+    flags.add_argument("--out", type=Path, help="where the files go (default: DIR/report)")
+    return flags
 
 
 def main(argv: Sequence[str] | None = None) -> int:

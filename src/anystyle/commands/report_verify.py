@@ -15,19 +15,19 @@ from anystyle.evaluation import run_table, runs, verify
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``anystyle report verify``; returns the exit status."""
-    words = new_parser(
+    parser = new_parser(
         "report verify",
         "Make the evaluations behind a row of a table again, in a fresh folder, and compare every figure: equal, "
         "equal within rounding, or not, and then what has changed (code, library, plugin, weights, input). "
         "A training is not repeated: its weights are judged again. Exit status 2 if a figure is another one.",
     )
-    words.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="as for anystyle report")
-    which = words.add_mutually_exclusive_group()
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="as for anystyle report")
+    which = parser.add_mutually_exclusive_group()
     which.add_argument("--row", metavar="ROW", help="this row (default: one at random)")
     which.add_argument("--all", action="store_true", help="every evaluation")
-    words.add_argument("--cheap", action="store_true", help="compare versions and hashes alone; compute nothing")
-    words.add_argument("--out", type=Path, help="keep the evaluations that are made here")
-    arguments = parse(words, words_of(argv))
+    parser.add_argument("--cheap", action="store_true", help="compare versions and hashes alone; compute nothing")
+    parser.add_argument("--out", type=Path, help="keep the evaluations that are made here")
+    arguments = parse(parser, words_of(argv))
     items = [item for folder in arguments.folders for item in runs.find(folder)]
     lines, _ = run_table.lines_of(items)
     if not any(item.evaluation for item in items):

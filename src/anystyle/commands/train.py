@@ -34,6 +34,7 @@ def _run(config: DictConfig, out: Path) -> Any:
     check_devices(config)
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
+    logging.getLogger("lightning.pytorch.profilers").setLevel(logging.INFO)  # the report of trainer.profiler
 
     def on_begin(step: int) -> None:
         write_hydra_files(config, out)

@@ -118,7 +118,8 @@ class ModelRenders(Protocol):
             missing: list[str] = []
             for name in self.planned_styles:
                 files = seconds_file(folder, name), *(folder / f"{name}_{frame}{self.suffix}" for frame in frames)
-                missing += [name] * (not whole or not all(file.is_file() for file in files))
+                if not whole or not all(file.is_file() for file in files):
+                    missing.append(name)
             done += len(self.planned_styles) - len(missing)
             if not missing:
                 continue

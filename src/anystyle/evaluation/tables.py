@@ -109,9 +109,9 @@ def escape_csv(text: str) -> str:
     try:
         float(text)
     except ValueError:
-        risky = text.startswith(("=", "+", "-", "@", "\t", "\r", "\n"))
-        # The writer does not quote a carriage return, after which readers begin a new row.
-        return ("'" * risky + text).replace("\r", " ")
+        if text.startswith(("=", "+", "-", "@", "\t", "\r", "\n")):
+            text = f"'{text}"
+        return text.replace("\r", " ")  # the writer does not quote it, and readers begin a new row after it
     return text
 
 

@@ -32,12 +32,21 @@ _HEADER = 1 << 16
 _ASCII = bytes(value if value < 128 else ord("?") for value in range(256))
 
 
+class OwnCamera(NamedTuple):
+    """The camera of the photograph that SHARP made a scene of: a pose, intrinsics in pixels, height and width."""
+
+    camera_from_world: Float[Tensor, "4 4"]
+    intrinsics: Float[Tensor, "3 3"]
+    size: tuple[int, int]
+
+
 class Loaded(NamedTuple):
     """The Gaussians of a file without those that show nothing, its rows that they are, and what is taken off it."""
 
     splats: Splats
     kept: Bool[Tensor, " N"]
     offset: Offset
+    camera: OwnCamera | None = None
 
 
 def write(splats: Splats, path: Path, notes: Sequence[str] = ()) -> None:
@@ -72,7 +81,7 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path, notes: 
     if len(before) == len(harmonics):
         _, offset = near(np.stack([before[axis] for axis in "xyz"], axis=1), remarks)
     else:
-        _, shown, offset = _decoded(data, remarks, activated=False)
+        _, shown, offset, _ = _decoded(data, remarks, activated=False)
         before = before[shown.numpy()]
     colors = _flat(harmonics.cpu()).numpy()
     names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
@@ -195,7 +204,31 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     harmonics = torch.cat([constant[:, None], others.unflatten(1, (3, higher)).mT], dim=1)
     # Copies, so that the table of all numbers does not stay in memory.
     rows = Splats(torch.from_numpy(means), rotations.clone(), scales.clone(), opacity[:, 0].clone(), harmonics)
-    return Loaded(*visible(rows, remarks, logarithmic=True, activated=activated), offset)
+    splats, kept = visible(rows, remarks, logarithmic=True, activated=activated)
+    if "filter_3D" in columns:
+        remarks.guesses.append("filter_3D, as Mip-Splatting writes it, is applied to scales and opacities")
+        splats = _filtered(splats, torch.from_numpy(columns["filter_3D"].astype(np.float32))[kept])
+    return Loaded(splats, kept, offset, _own_camera(data))
+
+
+def _own_camera(data: PlyData) -> OwnCamera | None:
+    """That of the elements which SHARP writes behind the vertices; ``None`` where they are not there, or damaged."""
+    names = ("extrinsic", "intrinsic", "image_size")
+    if not all(name in data and len(data[name].properties) == 1 for name in names):
+        return None
+    pose, matrix, size = (np.asarray(data[name].data[data[name].properties[0].name], np.float32) for name in names)
+    if (len(pose), len(matrix), len(size)) != (16, 9, 2) or not (np.isfinite(pose).all() and (size >= 1).all()):
+        return None
+    width, height = (int(side) for side in size)
+    return OwnCamera(torch.from_numpy(pose).view(4, 4), torch.from_numpy(matrix).view(3, 3), (height, width))
+
+
+def _filtered(splats: Splats, width: Float[Tensor, " N"]) -> Splats:
+    """Gaussians widened by Mip-Splatting's 3D filter of a width, and fainter by as much (Yu et al. 2024, eq. 9)."""
+    before = splats.scales.double()
+    after = torch.hypot(before, width.double().nan_to_num(0.0, 0.0, 0.0)[:, None])
+    share = (before / after.clamp_min(1e-38)).prod(1)
+    return splats._replace(scales=after.float(), opacities=(splats.opacities * share).float())
 
 
 def _with_constant(columns: Mapping[str, NDArray[Any]], remarks: Remarks) -> dict[str, NDArray[Any]]:

@@ -101,7 +101,8 @@ def fit_colors(
 def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *, share: float, most: int) -> list[int]:
     """Few views that show what all show, chosen greedily.
 
-    A Gaussian is shown once it covers half as many pixels of a chosen view as of the view in which it is largest.
+    They are at least one, also where no view shows anything. A Gaussian is shown once it covers half as many pixels
+    of a chosen view as of the view in which it is largest.
 
     Args:
         gaussians: A batch of one scene.
@@ -117,7 +118,7 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
         pixels = torch.stack([system.covered(view)[::every].clone() for view in system.views])  # V N
         largest = pixels.amax(0)
         shown, so_far, chosen = pixels.mul_(2).minimum(largest), torch.zeros_like(largest), list[int]()
-        while len(chosen) < min(most, len(shown)) and so_far.sum() < share * largest.sum():
+        while not chosen or (len(chosen) < min(most, len(shown)) and so_far.sum() < share * largest.sum()):
             chosen.append(int(shown.maximum(so_far).sum(1).argmax()))
             so_far = so_far.maximum(shown[chosen[-1]])
         system.forget_others(chosen)

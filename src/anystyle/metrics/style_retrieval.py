@@ -31,9 +31,10 @@ SIDE = 224
 class Retrieval(Metric):
     """The share of stylized scenes whose style image is the nearest of all, in colour and in equalised grey.
 
-    Grey, so that a palette alone does not count. A row is described by the mean of its views' vectors. Rows are centred
-    over all styles of their scene, style images over all of theirs, so that what a scene shows does not count. Chance
-    is one over the number of style images, and figures of other numbers cannot be compared.
+    Measured in gray as well, so that matching the palette alone does not score. A row is described by the mean of its
+    views' vectors. Rows are centred over all styles of their scene, style images over all of theirs, so that what a
+    scene shows does not count. Chance is one over the number of style images, and scores of other numbers cannot be
+    compared.
 
     A subclass defines the vectors, and names the two figures in :attr:`better`, colour first.
     """
@@ -74,10 +75,11 @@ class Retrieval(Metric):
         rows, styles, scenes = stacked(self.rows), stacked(self.styles), stacked(self.scenes)
         gallery, target = torch.cat([styles, *self._gallery]).unique(dim=0, return_inverse=True)  # G 2 D, N + ...
         hits = rows.new_full((2, len(rows)), torch.nan)
-        for of in (scenes == scene for scene in scenes.unique()):
-            if of.sum() > 1 < len(gallery):
-                cosines = [centered_cosines(rows[of, index], gallery[:, index]) for index in range(2)]
-                hits[:, of] = (torch.stack(cosines).argmax(2) == target[: len(rows)][of]).to(hits)
+        for scene in scenes.unique():
+            of_scene = scenes == scene
+            if of_scene.sum() > 1 and len(gallery) > 1:
+                cosines = [centered_cosines(rows[of_scene, index], gallery[:, index]) for index in range(2)]
+                hits[:, of_scene] = (torch.stack(cosines).argmax(2) == target[: len(rows)][of_scene]).to(hits)
         return dict(zip(self.better, hits, strict=True))
 
     @cached_property

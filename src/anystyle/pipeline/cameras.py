@@ -106,6 +106,12 @@ def from_files(
     return replace(views, images=images), tuple(undistorted), known
 
 
+def stored_beside(photographs: Sequence[Path], folder: Path | None = None) -> dict[Path, StoredCamera]:
+    """The cameras that are stored for photographs, as :func:`from_files` finds them; empty where there are none."""
+    stored = _stored({path.parent: None for path in photographs}, folder)
+    return {path: stored[path] for path in photographs if path in stored}
+
+
 def _straight(camera: StoredCamera) -> StoredCamera:
     """The camera of the undistorted photograph."""
     return camera if camera.undistortion is None else replace(camera, intrinsics=camera.undistortion.intrinsics)

@@ -5,6 +5,7 @@ worse beyond. Groups of views that overlap keep both bounded: each is encoded by
 views it shares with the one before.
 """
 
+import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Adapter, Backbone
+from anystyle.data.images import listing
 from anystyle.data.names import distinct, file_name
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity, similarity_of_cameras
@@ -35,10 +37,13 @@ from anystyle.types.shapes import ShapeError, check_value
 if TYPE_CHECKING:
     from anystyle.pipeline.saved import ReadSplat
 
+_log = logging.getLogger(__name__)
 RENDER_CHUNK = 4
 """Views rendered together."""
 BYTES, BYTES_A_PIXEL = 800, 250
 """Memory that restyling takes: of each Gaussian of degree 3, and of each pixel of the views, with renderer=cpu."""
+SEEN = 0.01
+"""A camera whose render is less opaque than this, on average over its pixels, sees nothing of the scene."""
 PLENTY = 16 * 2**10
 """Bytes per pixel, seven times what the published network takes; where these are free, memory is not estimated."""
 
@@ -175,6 +180,7 @@ def _encode_splat(given: "ReadSplat", stylizer: Stylizer, stages: Stages) -> Enc
     with stages("encode", f"{line}; cameras {where}"):
         gaussians, cameras = given.gaussians.to(stylizer.device), given.cameras.to(stylizer.device)
         scene = scene_of_splat(gaussians, cameras, stylizer.renderer, encoder(stylizer))
+    _tell_blind(scene.geometry.confidence[0], given.sources)
     return EncodedCapture(
         stylizer,
         replace(scene.views, names=tuple(source.name for source in given.sources)).to("cpu"),
@@ -187,6 +193,22 @@ def _encode_splat(given: "ReadSplat", stylizer: Stylizer, stages: Stages) -> Enc
         made_of=given.made_of,
         offset=given.offset,
     )
+
+
+def _tell_blind(alpha: Float[Tensor, "V H W"], sources: Sequence[SourceImage]) -> None:
+    """Name the cameras that see hardly anything of a given scene, and refuse where none sees more."""
+    blind = [source.name for source, share in zip(sources, alpha.mean((1, 2)).tolist(), strict=True) if share < SEEN]
+    remedy = (
+        "splat.folder=FOLDER reads the cameras of another folder; of an empty one, they are chosen around the scene"
+    )
+    if len(blind) == len(sources):
+        raise UserError(
+            f"none of the {len(sources)} cameras sees more than {SEEN:.0%} of the scene: they are of another one, "
+            f"or in another frame; {remedy}"
+        )
+    if blind:
+        line = "%d of %d cameras see less than %.0f%% of the scene (%s); %s"
+        _log.warning(line, len(blind), len(sources), 100 * SEEN, listing(blind), remedy)
 
 
 def require_splat(num_gaussians: int, cameras: Cameras, device: torch.device) -> str:

@@ -36,6 +36,8 @@ QUALITY = 92
 """Of stills, as JPEG."""
 OPAQUE = 0.1
 """Gaussians of a lower opacity do not count as surface."""
+SEEN = 0.01
+"""A frame that is less opaque than this, on average over its pixels, shows nothing of the scene."""
 UPRIGHT, AHEAD = 0.02, 0.02
 """Weights of what is assumed where cameras leave it open: up is that of their images, and the focus is ahead."""
 
@@ -105,15 +107,21 @@ class Film:
         one = gaussians.map(lambda tensor: tensor[:, :1])
         nothing = replace(one, opacities=torch.zeros_like(one.opacities))
         background = render(nothing, path.select([0]).resized((1, 1))).color[0, 0]
-        shares = list[float]()
+        shares, seen_shares = list[float](), list[float]()
         for index in range(self.frames):
             camera = path.select([index])
-            shown = render(gaussians, camera).color[0, 0]
+            rendered = render(gaussians, camera)
+            shown = rendered.color[0, 0]
+            seen_shares.append(float(rendered.alpha.mean()))
             if confidence is not None:
                 known = confidence(camera)
                 shares.append(float(known.mean()))
                 shown = torch.lerp(background, shown, known)
             yield shown.cpu()
+        if empty := sum(share < SEEN for share in seen_shares):
+            _log.warning(
+                "%d of %d views of the film show less than %.0f%% of the scene", empty, len(seen_shares), 100 * SEEN
+            )
         if faded := sum(share < 0.5 for share in shares):
             _log.warning(
                 "%d of %d views of the film are mostly faded: no photograph was taken from about there; "

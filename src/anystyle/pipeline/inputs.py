@@ -6,11 +6,13 @@ from pathlib import Path
 
 from anystyle.data.folder import files_of
 from anystyle.errors import UserError
+from anystyle.paths import natural
 from anystyle.registry.catalog import catalog
 from anystyle.types import Views
 
 OWN = ".safetensors"
 """The suffix of the Gaussians that ``anystyle stylize`` writes without any loss."""
+CHECKPOINTS = (".pt", ".pth", ".ckpt")
 PICTURE = "style.jpg"
 """The small picture of a style beside its result, where it is an image."""
 
@@ -47,7 +49,7 @@ def inputs_of(given: GivenInputs) -> Inputs | None:
         return InMemory(given)
     paths = tuple(map(Path, [given] if isinstance(given, (str, Path)) else given))
     if len(paths) == 1 and is_saved(paths[0]):
-        return SavedScene(paths[0])
+        return SavedScene(file_of(paths[0]))
     return Photographs(paths) if paths else None
 
 
@@ -55,7 +57,27 @@ def is_saved(path: Path) -> bool:
     """Whether this is a file or folder of Gaussians, or a folder that ``anystyle stylize`` wrote, and no capture."""
     if path.is_dir() and (path / "report.json").is_file() and any(path.glob("*.safetensors")):
         return True
+    path = file_of(path)
     return scene_format(path) is not None or (path.suffix.lower() == OWN and not path.is_dir())
+
+
+def file_of(path: Path) -> Path:
+    """The file of a run's folder of 3DGS, ``point_cloud/iteration_N/point_cloud.ply`` of the largest N; else the path.
+
+    Example:
+        >>> file_of(Path("scene.ply"))
+        PosixPath('scene.ply')
+
+    Raises:
+        UserError: It is a checkpoint of a trainer.
+    """
+    if path.suffix.lower() in CHECKPOINTS and path.is_file():
+        raise UserError(
+            f"{path} is a checkpoint, and files of Gaussians are read: gsplat's trainer writes a PLY with --save_ply, "
+            "nerfstudio's scene becomes one by ns-export gaussian-splat"
+        )
+    found = path.glob("point_cloud/iteration_*/point_cloud.ply") if path.is_dir() else ()
+    return max(found, key=lambda file: natural(file.parent.name), default=path)
 
 
 def scene_format(path: Path) -> str | None:

@@ -91,7 +91,8 @@ class PoseOptions:
     Args:
         use: ``predicted``: from the backbone. ``known``: stored beside the photographs by a program that a plugin
             of kind ``cameras`` reads. ``target``: predicted, and the scene is rendered from the stored ones. ``auto``:
-            estimated by a plugin of kind ``pose_estimator`` where that succeeds, else predicted; or such a plugin.
+            stored ones where most photographs have them, else estimated by a plugin of kind ``pose_estimator`` where
+            that succeeds, else predicted; or such a plugin.
             ``None`` is ``predicted`` for a stylizer in memory and a backbone with ``trusted_cameras``, else ``auto``.
         folder: Holds stored cameras, or is their file, if not in the photographs' folder or the one above.
     """

@@ -12,11 +12,12 @@ from torch import Tensor
 
 from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
 from anystyle.data.folder import covering, files_of, read_originals, read_views
+from anystyle.data.images import listing
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
-from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
+from anystyle.pipeline.cameras import KnownCameras, from_files, from_views, stored_beside
 from anystyle.pipeline.inputs import InMemory, Photographs, SavedScene
 from anystyle.pipeline.load import LoadedModel, make_scenes
 from anystyle.pipeline.options import PoseOptions, ViewOptions
@@ -116,6 +117,10 @@ def _photographs(
     if options.masks is not None:
         masks = find_masks(expanded(options.masks), [path for item in paths for path in files_of(item)])
     estimators, report = catalog().names("pose_estimator"), {}
+    if poses.use == "auto" and _stored_beside(paths, poses):
+        poses = replace(poses, use="known")
+        if reconstruction is None and estimators:
+            reconstruction = build(Reconstruction, build(PoseEstimator, estimators[0]).reconstruction)
     estimator = next(iter(estimators), None) if poses.use == "auto" else poses.use
     given: ReadViews | None = None
     if estimator in estimators:
@@ -151,6 +156,26 @@ def _photographs(
     return _masked(given, masks, options, stages)
 
 
+def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> bool:
+    """Whether cameras of most photographs are stored beside them; what is found is logged."""
+    files = [file for path in paths for file in files_of(path)]
+    try:
+        found = stored_beside(files, None if poses.folder is None else Path(poses.folder))
+    except UserError as error:
+        _log.warning("cameras beside the photographs are not used: %s", error)
+        return False
+    if not found:
+        return False
+    used = len(found) >= max(2, len(files) / 2)
+    _log.warning(
+        "cameras of %d of %d photographs are stored beside them, and are %s",
+        len(found),
+        len(files),
+        "used; poses=sfm finds them anew" if used else "not used, for they are too few; poses=known uses them",
+    )
+    return used
+
+
 def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, stages: Stages) -> ReadViews:
     views, report = masked_views(given.views, given.sources, masks, empty=options.masked == "empty")
     if report:
@@ -180,7 +205,11 @@ def _with_stored(
         views, sources, known = from_files(views, sources, None if poses.folder is None else Path(poses.folder))
     if poses.use == "target":
         return ReadViews(views, sources, reconstruction, targets=known)
-    return ReadViews(views, sources, reconstruction, known.of_all(names))
+    if without := [name for index, name in enumerate(names) if index not in known.indices]:
+        told = "%d of %d photographs have no stored camera and are left out: %s"
+        _log.warning(told, len(without), len(names), listing(without))
+    kept = list(known.indices)
+    return ReadViews(views.select(kept), tuple(sources[index] for index in kept), reconstruction, known.views)
 
 
 def _estimated(

@@ -1,9 +1,12 @@
 """The fourth step: an encoded capture in its styles, each result computed when it is asked for."""
 
+import inspect
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from importlib.metadata import version
+from math import isqrt
 from typing import Any
 
 from jaxtyping import Float
@@ -25,6 +28,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, OnProgress, Scene, StyledScene, StyleEmbedding, no_progress
 from anystyle.vision.weights import license_lines, licenses
 
+_log = logging.getLogger(__name__)
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 
 
@@ -38,6 +42,7 @@ class Restyler:
         self.encoded, self.method = encoded, method
         # The identity of an embedding is the key; the entry holds it, so that the identity stays unique.
         self._styled: LRUCache[int, tuple[StyleEmbedding, Gaussians]] = LRUCache(keep)
+        self._told = False
         self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
 
     @cached_property
@@ -65,7 +70,20 @@ class Restyler:
         def restyle(scene: Scene) -> Gaussians:
             return self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
 
-        return _finite(self.encoded.gaussians(restyle), f"the scene in the style {style.title}")
+        styled = _finite(self.encoded.gaussians(restyle), f"the scene in the style {style.title}")
+        before = self.encoded.groups[0].scene.gaussians
+        if before is not None and styled.harmonics.shape[2] < before.harmonics.shape[2]:
+            self._tell_dropped(isqrt(before.harmonics.shape[2]) - 1)
+        return styled
+
+    def _tell_dropped(self, degree: int) -> None:
+        """Say once that colours of the scene no longer depend on the direction."""
+        if self._told:
+            return
+        self._told = True
+        keeps = "keep_harmonics" in inspect.signature(type(self.method)).parameters
+        remedy = "; method.keep_harmonics=true keeps them" if keeps else ""
+        _log.warning("harmonics of degree 1 to %d of the given scene are dropped%s", degree, remedy)
 
     def mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
         """How much of a style each Gaussian takes; computed once a mask."""

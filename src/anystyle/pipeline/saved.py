@@ -1,5 +1,6 @@
 """A saved scene, which is a folder of results or a file of Gaussians: reading it, and cameras and views of it."""
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
@@ -7,23 +8,26 @@ from typing import Annotated, Literal
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from anystyle.contracts import Format, Renderer, StoredCamera
+from anystyle.contracts import Format, Renderer
 from anystyle.data.folder import covering
 from anystyle.data.images import open_image
-from anystyle.data.names import distinct, short_names
-from anystyle.data.poses import stored_cameras, view_camera
+from anystyle.data.names import short_names
+from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render
+from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.inputs import OWN, PICTURE, scene_format
+from anystyle.pipeline.inputs import OWN, PICTURE, file_of, scene_format
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
 from anystyle.pipeline.stages import Stages
@@ -33,6 +37,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
 from anystyle.vision import weights
 
+_log = logging.getLogger(__name__)
 UNSTYLED = "unstyled"
 CHOSEN = ("chosen", "chosen around the scene")
 """What a report says of cameras that are not those of photographs, since 0.2 and before."""
@@ -44,29 +49,18 @@ DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
+NOT_COMPENSATED = (
+    "renders here do not apply: Gaussians that are thinner than a pixel are too opaque in them. Files that are written "
+    "say that it was, where their format can: PLY, SPZ and SOG"
+)
+COUNTED = 100_000
+"""Gaussians, evenly spaced, that tell which axis is up."""
+FLAT, LEVEL = 0.5, 1.5
+"""A Gaussian is flat whose thinnest side is less than this share of the next; a floor has so many times as much of
+what is flat across the axis that is up as there is across another."""
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
-_Row3 = tuple[float, float, float]
-_Row4 = tuple[float, float, float, float]
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
-
-
-@dataclass(frozen=True)
-class SavedCamera:
-    """A view in ``cameras.json``."""
-
-    name: str
-    height: _Side
-    width: _Side
-    intrinsics: tuple[_Row3, _Row3, _Row3]
-    world_from_camera: tuple[_Row4, _Row4, _Row4, _Row4]
-
-
-@dataclass(frozen=True)
-class SavedCameras:
-    """``cameras.json``."""
-
-    views: Annotated[list[SavedCamera], Meta(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -93,36 +87,6 @@ def read_saved(path: Path, up: str | None = None, *, activated: bool = False) ->
     return in_axes("opencv", read_unturned(path, up, activated=activated))
 
 
-def with_stored_cameras(scene: StyledScene, path: Path, stored_in: str | None = None) -> StyledScene:
-    """A scene with the cameras beside its file or one folder above, those of one size, where it has none of its own."""
-    folders = (path.parent, path.parent.parent) if stored_in is None else (Path(stored_in),)
-    for folder in () if scene.names else folders:
-        if (file := folder / "cameras.json").is_file():
-            cameras, names = _cameras(file)
-            return replace(scene, cameras=cameras, names=names)
-        if stored := cameras_beside(folder, scene.offset):
-            size = next(iter(stored.values())).size
-            alike = {name: camera for name, camera in stored.items() if camera.size == size}
-            poses = np.stack([camera.world_from_camera for camera in alike.values()])
-            intrinsics = np.stack([camera.intrinsics for camera in alike.values()])
-            cameras = Cameras(torch.from_numpy(poses).float()[None], torch.from_numpy(intrinsics).float()[None], size)
-            names = tuple(short_names([PurePosixPath(name) for name in alike]))
-            return replace(scene, cameras=cameras, names=names)
-    return scene
-
-
-def cameras_beside(folder: Path, offset: Offset) -> dict[str, StoredCamera]:
-    """The cameras that are stored in a folder, without the offset of the scene where they have it."""
-    stored = stored_cameras(folder)
-    centers = np.array([camera.world_from_camera[:3, 3] for camera in stored.values()]).reshape(-1, 3)
-    if np.abs(centers - offset).sum() >= np.abs(centers).sum():
-        return stored
-    shift = np.pad(np.array(offset)[:, None], ((0, 1), (3, 0)))
-    return {
-        name: replace(camera, world_from_camera=camera.world_from_camera - shift) for name, camera in stored.items()
-    }
-
-
 def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> StyledScene:
     """Read a folder of results, or a file of Gaussians in its own axes, which are ``up`` or what it says.
 
@@ -130,6 +94,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     """
     if not path.exists():
         raise UserError(f"there is no file or folder {path}")
+    path = file_of(path)
     if path.suffix.lower() == OWN and path.is_file():
         gaussians, folder = read_gaussians(path), path.parent
         if not (folder / "report.json").is_file():
@@ -138,9 +103,12 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
     if name := scene_format(path):
-        scene = build(Format, name, activated=activated).read(path)
-        notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
-        notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
+        reader = build(Format, name, activated=activated)
+        scene, beside = reader.read(path), path.with_suffix(path.suffix + ".txt")
+        more = read_text(beside).splitlines() if beside.is_file() else []
+        notes = scene.notes if reader.has_notes and scene.notes else tuple(dict.fromkeys([*scene.notes, *more]))
+        if scene.antialiased:
+            _log.warning("%s was trained with antialiasing, which %s", path, NOT_COMPENSATED)
         return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
@@ -156,7 +124,7 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     first, report = next(iter(reports.items()))
-    cameras, names = _cameras(first / "cameras.json")
+    cameras, names = own_cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     notes = (made, *weights.license_lines(report.licenses), *report.notes)
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
@@ -198,23 +166,6 @@ def read_gaussians(path: Path) -> Gaussians:
         raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
 
 
-def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
-    """The cameras of a saved scene by the name of their view."""
-    poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
-    stored = zip(distinct(saved.names), poses.numpy(), intrinsics.numpy(), strict=True)
-    return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
-
-
-def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of ``cameras.json``, those of one size as the first."""
-    views = read_json(path, SavedCameras, what="file of cameras").views
-    first = views[0]
-    alike = [view for view in views if (view.height, view.width) == (first.height, first.width)]
-    poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
-    intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
-    return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
-
-
 @dataclass(frozen=True)
 class ReadSplat:
     """Given Gaussians as they were read.
@@ -245,33 +196,48 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
 
     Views have the size that ``views`` say, else that at which results were made.
     """
+    path = file_of(path)
     with stages("read", "the Gaussians"):
         given = read_unturned(path, options.up, activated=options.activated)
         saved = in_axes("opencv", given)
         sees_features = stylizer.branch.gaussian_head is not None
         side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
-        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side)
+        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side, given.up)
         made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
     file = path if path.is_file() and given.up == "opencv" and not options.activated else None
     return ReadSplat(unstyled_of(saved), cameras, sources, origin, file, given.notes, made_of, saved.offset)
 
 
 def cameras_of(
-    path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, side: int
+    path: Path,
+    saved: StyledScene,
+    views: ViewOptions,
+    options: SplatOptions,
+    multiple: int,
+    side: int,
+    own_up: str = "opencv",
 ) -> tuple[Cameras, tuple[SourceImage, ...], CameraOrigin]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. Beside the
-    cameras it returns what their images are called, and where they come from.
+    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. ``own_up`` are the
+    axes that the file had before it was turned to OpenCV's. Beside the cameras it returns what their images are called,
+    and where they come from.
     """
     side = max(multiple, round((views.short_side or side) / multiple) * multiple)
     stored = {} if options.folder else saved_cameras(saved)
-    for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
-        stored = stored or cameras_beside(folder, saved.offset)
+    stored = stored or cameras_beside(path, options.folder, saved.offset, own_up)
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(covering(name, (side, side), (side, side)) for name in names)
-        return around(unstyled_of(saved), options.cameras, side), sources, "chosen"
+        gaussians = unstyled_of(saved)
+        _log.warning(
+            "no cameras are in %s or beside it: %d are chosen around the scene, some of them perhaps behind a wall; "
+            "splat.folder=FOLDER reads those of the photographs%s",
+            path.name,
+            options.cameras,
+            _doubt_of_up(gaussians) if options.up is None and own_up == "opencv" else "",
+        )
+        return around(gaussians, options.cameras, side), sources, "chosen"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
     whole = stored[names[chosen[0]]].size
@@ -280,6 +246,22 @@ def cameras_of(
     sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
     return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
+
+
+def _doubt_of_up(gaussians: Gaussians) -> str:
+    """What to type if up is not -y, OpenCV's, where flat Gaussians, as of a floor, lie across another axis."""
+    every = max(1, gaussians.means.shape[1] // COUNTED)
+    gaussians = gaussians.map(lambda tensor: tensor[:, ::every])
+    turned = matrix_from_wxyz(F.normalize(gaussians.rotations[0].double(), dim=-1))  # N 3 3
+    scales, thinnest = gaussians.scales[0].double().sort(dim=1)
+    normals = turned.gather(2, thinnest[:, None, :1].expand(-1, 3, 1))[..., 0]  # N 3
+    # Round Gaussians have no normal, and large ones are more of the surface, though the largest may be sky.
+    area = scales[:, 1] * scales[:, 2]
+    weights = gaussians.opacities[0] * area.clamp(max=float(area.quantile(0.9))) * (scales[:, 0] < FLAT * scales[:, 1])
+    shares = (weights[:, None] * normals**4).sum(0)
+    if not shares.sum() or shares[2] < LEVEL * shares[1]:
+        return "; up is taken to be -y, and splat.up=y or splat.up=z says that it is another axis"
+    return "; its surfaces lie mostly across z, and up is taken to be -y: splat.up=z if renders lie on their side"
 
 
 def around(gaussians: Gaussians, number: int, side: int) -> Cameras:

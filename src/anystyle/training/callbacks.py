@@ -1,7 +1,9 @@
 """Callbacks of every run: seeds, checkpoints, a moving average of the weights, and lines of progress."""
 
 import logging
+import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -52,11 +54,29 @@ class _AllSamples(Throughput):
         return values | {"samples": values["samples"] * self.world_size} if "samples" in values else values
 
 
+STOPS = tuple(each for each in signal.Signals if each.name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR1", "SIGUSR2"))
+"""Signals at which a training saves and ends; Windows lacks some of them."""
+
+
+def requeue() -> None:
+    """Put the Slurm job that this process runs in back into the queue; outside of one nothing is done."""
+    job = os.environ.get("SLURM_JOB_ID")
+    if job is None:
+        return
+    if task := os.environ.get("SLURM_ARRAY_TASK_ID"):
+        job = f"{os.environ['SLURM_ARRAY_JOB_ID']}_{task}"
+    try:
+        subprocess.run(["scontrol", "requeue", job], check=True, capture_output=True, text=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        log.warning("Slurm's job %s could not be requeued (%s); submit it again to resume", job, one_line(error))
+
+
 class RunCheckpoint(Callback):
     """Save a checkpoint every so many steps or minutes, at the end, and when a signal stops the run.
 
     The file is written beside its final name and then renamed, so that a kill or a full disk leaves the last good one;
-    the one before it is kept beside it. SIGTERM and the first Ctrl-C end the run after the current optimizer step.
+    the one before it is kept beside it. The signals :data:`STOPS` and the first Ctrl-C end the run after the current
+    optimizer step; at SIGUSR1 within a Slurm job it is put back into the queue, as Lightning would.
 
     Lightning's ``ModelCheckpoint`` counts either steps or minutes, saves at a signal only in the middle of a step
     (from which a run is not resumed bit for bit), and does not rename atomically.
@@ -89,8 +109,9 @@ class RunCheckpoint(Callback):
         self._saved_at, self._step = time.monotonic(), trainer.global_step
         # In place of Lightning's own handler, which would end the run without saving.
         if threading.current_thread() is threading.main_thread():
-            for name in (signal.SIGTERM, signal.SIGINT):
-                self._handlers[name] = signal.signal(name, self._stop)
+            for name in STOPS:
+                if name.name != "SIGHUP" or signal.getsignal(name) != signal.SIG_IGN:  # nohup
+                    self._handlers[name] = signal.signal(name, self._stop)
 
     def _stop(self, signum: int, frame: Any) -> None:
         self.stopped_by = signal.Signals(signum).name
@@ -112,11 +133,15 @@ class RunCheckpoint(Callback):
             self.stopped_by = self.stopped_by or "SIGTERM"  # of another process
             log.warning("stopped by %s after step %d; the same command resumes", self.stopped_by, self._step)
             trainer.should_stop = True
+            if self.stopped_by == "SIGUSR1" and trainer.is_global_zero:
+                requeue()
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._restore_handlers()
         if trainer.global_step and not self._saved:  # alike in all processes, which save together
             self.save(trainer)
+        if self.stopped_by == "SIGUSR2" and callable(signal.getsignal(signal.SIGUSR2)):
+            signal.raise_signal(signal.SIGUSR2)  # of submitit, which puts its job back into the queue
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
         self._restore_handlers()

@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from anystyle.contracts import BatchSource, SceneSource, StyleSource
 from anystyle.errors import UserError, one_line
+from anystyle.training.callbacks import STOPS
 from anystyle.training.collate import blurred_views, fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.sampling import any_views, bounded_views, bounds, check_sides, generator
 from anystyle.types import Style, Value, Views
@@ -183,8 +184,8 @@ class _Steps(Dataset[Value]):
 
 
 def _ignore_signals(worker: int) -> None:
-    """Ignore SIGINT and SIGTERM, which reach the workers too: the training finishes its step with their batches."""
-    for name in (signal.SIGINT, signal.SIGTERM):
+    """Ignore the signals that end a training and reach the workers too: it finishes its step with their batches."""
+    for name in STOPS:
         signal.signal(name, signal.SIG_IGN)
 
 

@@ -205,7 +205,8 @@ class StylizationTraining(Training):
         assert self._source is not None
         rows = self.preview(self._source.batch(0, 0, self.trainer.world_size).to(self.device))
         picture = to_pil(torch.cat([torch.cat(row, dim=-1) for row in rows], dim=-2).float())
-        with atomic_path(Path(self.trainer.default_root_dir) / "previews" / f"step_{step:07d}.png") as temporary:
+        folder = Path(self.trainer.default_root_dir).with_name("previews")  # beside the logs
+        with atomic_path(folder / f"step_{step:07d}.png") as temporary:
             picture.save(temporary)
         for logger in self.trainer.loggers:
             log_picture(logger, "previews", np.asarray(picture), step)

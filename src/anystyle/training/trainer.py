@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import lightning.pytorch as pl
 import numpy as np
+from lightning.fabric.plugins.environments.slurm import SLURMEnvironment
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
@@ -94,7 +95,9 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     try:
         return pl.Trainer(
             **options,
-            default_root_dir=out,
+            # Lightning would resume from files of its own there, whatever the run was asked for; and requeue by itself.
+            default_root_dir=out / "log",
+            plugins=SLURMEnvironment(auto_requeue=False) if SLURMEnvironment.detect() else None,
             max_epochs=-1,
             check_val_every_n_epoch=None,
             use_distributed_sampler=False,
@@ -114,12 +117,12 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
 PixelArray = NDArray[np.uint8]
 """Height, width, 3; sRGB levels."""
 
-EXTRAS = {"csv": "", "tensorboard": "tracking", "wandb": "wandb", "mlflow": "mlflow"}
-"""The names of loggers, and the extra that installs each."""
+PACKAGES = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb", "mlflow": "mlflow-skinny"}
+"""The names of loggers, and the package that each needs."""
 
 
 def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Logger]:
-    """The loggers of these names, keys of :data:`EXTRAS`, and always ``csv``; a resumed run adds a version."""
+    """The loggers of these names, keys of :data:`PACKAGES`, and always ``csv``; a resumed run adds a version."""
     makers: Mapping[str, Callable[[], Logger]] = {
         "csv": lambda: CSVLogger(out, name="log", flush_logs_every_n_steps=20),
         "tensorboard": lambda: TensorBoardLogger(out, name="tensorboard"),
@@ -129,11 +132,11 @@ def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Log
     loggers = []
     for each in dict.fromkeys(["csv", *names]):
         if each not in makers:
-            raise UserError(f"loggers: {unknown('logger', each, EXTRAS)}")
+            raise UserError(f"loggers: {unknown('logger', each, PACKAGES)}")
         try:
             loggers.append(makers[each]())
         except ModuleNotFoundError as error:
-            raise MissingExtra(f'loggers: {each} is not installed; pip install "anystyle[{EXTRAS[each]}]"') from error
+            raise MissingExtra(f"loggers: {each} is not installed: pip install {PACKAGES[each]}") from error
     return loggers
 
 

@@ -126,6 +126,10 @@ class Renders(Value):
     alpha: Float[Tensor, "B V H W"]
 
 
+ANTIALIASED = "SplatRenderMode: mip"
+"""The note of a scene that was trained with opacities that are compensated for a pixel's filter, as gsplat has it."""
+
+
 @dataclass(frozen=True)
 class StyledScene:
     """One scene in several styles, as files hold it.
@@ -151,6 +155,11 @@ class StyledScene:
     offset: Offset = NEAR
     pictures: Mapping[str, Image.Image] = field(default_factory=dict)
     photographed: bool = True
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether a note says that viewers have to compensate opacities for a pixel's filter."""
+        return ANTIALIASED in self.notes
 
     def splats(self, style: int = -1) -> Splats:
         """The tensors of the scene in one of its styles."""

@@ -119,15 +119,14 @@ def _placement(names: Mapping[str, Tensor]) -> Literal["head", "full"] | None:
 
 
 def _load_backbone(backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
-    names, what = backbone_names(backbone.state_dict()), "backbone"
+    names = backbone_names(backbone.state_dict())
     given = {name: tensor for name, tensor in state.items() if name.startswith(BACKBONE_PARTS) and name not in UNUSED}
-    untouched: list[str] = []  # keys that stay as they are
-    if not any(name.startswith(GAUSSIANS) for name in state):
-        what = "backbone's part that VGGT initialises"
+    if any(name.startswith(GAUSSIANS) for name in state):
+        load_renamed(backbone, given, names, what="backbone", layout=LAYOUT)
+    else:
         untouched = [key for key, name in names.items() if name.startswith(GAUSSIANS)]
         names = {key: name for key, name in names.items() if key not in untouched}
-    load_renamed(backbone, given, names, what=what, layout=LAYOUT)
-    if untouched:
+        load_renamed(backbone, given, names, what="backbone's part that VGGT initialises", layout=LAYOUT)
         _log.warning(
             "VGGT's file initialises %d of the backbone's %d tensors; left as they were: the %d of its Gaussian "
             "head (%s, …)",

@@ -1,8 +1,9 @@
 """What is read off the tokens: points with the cameras that see them, raw Gaussians, and the styled colours."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar, Unpack
 
 import torch
@@ -98,14 +99,15 @@ class PixelDecoder(DptTrunk):
         self.output = nn.Sequential(hidden, nn.ReLU(inplace=True), nn.Conv2d(features, outputs, 1))
 
     def predict(
-        self, levels: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], images: Float[Tensor, "M 3 H W"]
-    ) -> Float[Tensor, "M H W F"]:
-        """The result from patch tokens of the taps, for images in [-1, 1]."""
+        self, features: Features, images: Float[Tensor, "B V 3 H W"], views: slice
+    ) -> Float[Tensor, "B v H W F"]:
+        """The result for some views of images in [-1, 1]."""
         size = images.shape[-2], images.shape[-1]
-        x = resized(self.fusions(self.levels(levels, grid, size[1] / size[0])), size)
+        maps = self.levels(levels_of(features, views, self.dtype), features[0].grid, size[1] / size[0])
+        x = resized(self.fusions(maps), size)
         if self.direct is not None:
-            x = x + F.relu(self.direct(images.to(self.dtype)))
-        return self.output(x).movedim(1, -1)
+            x = x + F.relu(self.direct(images[:, views].flatten(0, 1).to(self.dtype)))
+        return self.output(x).movedim(1, -1).unflatten(0, (len(images), -1))
 
 
 class ColorHead(nn.Module):
@@ -124,12 +126,7 @@ class ColorHead(nn.Module):
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V H W 3 K"]:
         """Harmonics ahead of their damping, from a stylizer's features; of the images only the size is read."""
         batch, views = images.shape[:2]
-
-        def decode(chosen: slice) -> Float[Tensor, "B v H W F"]:
-            levels = levels_of(features, chosen, self.dpt.dtype)
-            raw = self.dpt.predict(levels, features[0].grid, images[:, chosen].flatten(0, 1))
-            return raw.unflatten(0, (batch, -1))
-
+        decode = partial(self.dpt.predict, features, images)
         return by_views(decode, views, max(1, self.chunk // batch)).unflatten(-1, (3, -1))
 
 
@@ -176,9 +173,7 @@ class GaussianHead(contracts.GaussianHead):
         pictures = symmetric(images)
 
         def decode(dpt: PixelDecoder, chosen: slice) -> Float[Tensor, "B v H W 8"]:
-            levels = levels_of(features, chosen, dpt.dtype)
-            raw = dpt.predict(levels, features[0].grid, pictures[:, chosen].flatten(0, 1))
-            return raw.unflatten(0, (len(pictures), -1))
+            return dpt.predict(features, pictures, chosen)
 
         raw = first_and_others(self.first, self.others, decode, pictures.shape, self.chunk)
         color = raw.new_zeros(*raw.shape[:-1], 3, (self.color.sh_degree + 1) ** 2)

@@ -13,7 +13,7 @@ const fill = (node, attributes, children) => {
 };
 const make = (tag, attributes = {}, ...children) => fill(document.createElement(tag), attributes, children);
 const draw = (tag, attributes = {}, ...children) => fill(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
-// A figure as JSON and attributes hold it.
+// A score as JSON and attributes hold it.
 const value = (figure) => figure === "inf" ? Infinity : figure === "-inf" ? -Infinity : parseFloat(figure ?? "");
 const number = (figure) => {
   const size = Math.abs(figure);
@@ -22,7 +22,7 @@ const number = (figure) => {
   if (size !== 0 && (size < 1e-3 || size >= 1e5)) return figure.toExponential(2);
   return size < 1000 ? String(Number(figure.toPrecision(4))) : figure.toFixed(0);
 };
-// The better of two figures first; what is unknown last.
+// The better of two scores first; what is unknown last.
 const compareBy = (better) => (a, b) => Number.isNaN(a) - Number.isNaN(b) || (a === b ? 0 : (a < b) === (better === "lower") ? -1 : 1);
 
 // ---- tables
@@ -91,16 +91,6 @@ const startTables = () => {
   filter(form, tables); // what a browser kept of the form when the page was loaded again
 };
 
-// ---- pictures
-const strip = (source, scene, alt) => {
-  const { views, size } = scenes[scene];
-  return make("div", { class: "strip", style: `--views:${views.length};--ratio:${size.join("/")}` }, make("img", { src: source, alt, loading: "lazy", decoding: "async" }));
-};
-const picture = (method, scene, style, cell, alt) => cell.status === "done"
-  ? strip(`cells/${method}/${scene}/${style}.avif`, scene, alt)
-  : make("div", { class: "said", style: `--ratio:${scenes[scene].size.join("/")}` }, cell.status === "missing" ? cell.message || "not run" : `${cell.status === "timeout" ? "too slow" : "failed"}: ${cell.message}`);
-const hash = (...parts) => `#${parts.map(encodeURIComponent).join("/")}`;
-
 // ---- the pictures behind a number
 const behind = (method, guide, metric) => Object.entries(cells[method]).flatMap(([place, cell]) => {
   const [scene, style] = place.split("/");
@@ -109,17 +99,30 @@ const behind = (method, guide, metric) => Object.entries(cells[method]).flatMap(
   return styles[style].guide === guide ? [{ scene, style, cell, own, figure: cell.status === "done" ? value(own ? cell.figures[metric] : whole[metric]) : NaN }] : [];
 }).sort((a, b) => compareBy(metrics[metric].better)(a.figure, b.figure));
 
-const tile = (method, { scene, style, cell, figure, own }) => make("li", {},
-  make("a", { href: `compare.html${hash(scene, style, scenes[scene].views[0])}` },
-    picture(method, scene, style, cell, ""),
-    make("b", {}, number(figure), own || Number.isNaN(figure) ? "" : " (the scene's)"),
-    make("span", {}, `${scene}, ${style}`)));
+// A cell's views lie below each other in one file; a tile shows the first, and opens all.
+const picture = (scene, cell, file) => {
+  const { views, size } = scenes[scene];
+  return cell.status === "done"
+    ? make("div", { class: "strip", style: `--views:${views};--ratio:${size.join("/")}` }, make("img", { src: `${file}.avif`, alt: "", loading: "lazy", decoding: "async" }))
+    : make("div", { class: "said", style: `--ratio:${size.join("/")}` }, cell.status === "missing" ? cell.message || "not run" : `${cell.status === "timeout" ? "too slow" : "failed"}: ${cell.message}`);
+};
+
+const tile = (method, { scene, style, cell, figure, own }) => {
+  const file = `cells/${method}/${scene}/${style}`;
+  const { guide, title } = styles[style];
+  return make("li", {},
+    make(...(cell.status === "done" ? ["a", { href: `${file}.avif` }] : ["div", {}]),
+      picture(scene, cell, file),
+      make("b", {}, number(figure), own || Number.isNaN(figure) ? "" : " (the scene's)"),
+      make("span", {}, `${scene}, ${style}`)),
+    guide === "text" ? make("q", {}, title) : make("img", { class: "style", src: `styles/${style}.avif`, alt: title, title, loading: "lazy" }));
+};
 
 const openBehind = (method, guide, metric) => {
   const dialog = find("#behind");
   const { title, seeds } = methods[method];
   find("h2", dialog).textContent = `${title}: ${metrics[metric].title}`;
-  find("p", dialog).textContent = `Every scene and style guided by ${guide}s, best first. Press one to see all methods there.${seeds > 1 ? " Pictures and figures here are one seed's." : ""}`;
+  find("p", dialog).textContent = `Every scene and style guided by ${guide}s, best first. Press one to see all its views.${seeds > 1 ? " Pictures and scores here are one seed's." : ""}`;
   find("ul", dialog).replaceChildren(...behind(method, guide, metric).map((one) => tile(method, one)));
   dialog.showModal();
   dialog.scrollTop = 0;
@@ -172,7 +175,7 @@ const plot = (form) => {
   const shown = every.filter((point) => point.seconds > 0);
   const without = every.filter((point) => !(point.seconds > 0)).map((point) => point.title);
   find("#unplotted").textContent = without.length ? `Without seconds, and so not here: ${without.join(", ")}.` : "";
-  if (!shown.length) return find("#plot").replaceChildren(make("p", {}, "No method has this figure and its seconds."));
+  if (!shown.length) return find("#plot").replaceChildren(make("p", {}, "No method has this score and its seconds."));
   const [width, height, left, bottom] = [Math.min(find("#plot").clientWidth, 1000), 440, 56, 44];
   const range = (numbers, pad) => [Math.min(...numbers) - pad(numbers), Math.max(...numbers) + pad(numbers)];
   const spread = (numbers) => 0.06 * (Math.max(...numbers) - Math.min(...numbers)) || Math.abs(numbers[0]) || 1;
@@ -214,100 +217,5 @@ const startPlot = () => {
   new ResizeObserver(() => plot(form)).observe(find("#plot"));
 };
 
-// ---- all methods of a scene in a style
-const figuresOf = (cell, names) => names.filter((name) => name in cell.figures)
-  .flatMap((name) => [make("dt", {}, metrics[name].title), make("dd", { "data-metric": name, "data-value": value(cell.figures[name]) }, number(value(cell.figures[name])))]);
-
-const method = (name, scene, style) => {
-  const cell = cells[name][`${scene}/${style}`] ?? { status: "missing", figures: {} };
-  const { title, seeds, baseline } = methods[name];
-  const [first, more] = [true, false].map((wanted) => figuresOf(cell, Object.keys(metrics).filter((one) => metrics[one].headline === wanted)));
-  return make("article", { class: "cell", "aria-label": title, ...(baseline ? { "data-baseline": "" } : {}) },
-    make("h2", {}, title), picture(name, scene, style, cell, title),
-    make("dl", {}, ...first),
-    ...(cell.page ? [make("p", {}, make("a", { href: `cells/${name}/${scene}/${style}.html` }, "view the scene in 3D"))] : []),
-    ...(seeds > 1 && cell.status === "done" ? [make("p", {}, `seed ${cell.seed}`)] : []),
-    ...(more.length ? [make("details", {}, make("summary", {}, "more figures"), make("dl", {}, ...more))] : []));
-};
-
-const given = (scene, style) => {
-  const { guide, text, title } = styles[style];
-  return [make("div", {}, make("h2", {}, "Photograph"), strip(`photographs/${scene}.avif`, scene, "Photograph"), make("p", { class: "note" }, scenes[scene].title)),
-    make("div", {}, make("h2", {}, "Style"), guide === "text" ? make("blockquote", {}, text) : make("img", { class: "style", src: `styles/${style}.avif`, alt: title }),
-      make("p", { class: "note" }, title === text ? "" : title))];
-};
-
-const markBestCells = () => {
-  for (const name of Object.keys(metrics)) {
-    const nodes = all(`.cell:not([data-baseline]) dd[data-metric="${CSS.escape(name)}"]`);
-    rank(nodes, nodes.map(known), metrics[name].better);
-  }
-};
-
-const fromHash = () => {
-  let parts = [];
-  try { parts = location.hash.slice(1).split("/").map(decodeURIComponent); } catch { /* no link of ours */ }
-  const scene = parts[0] in scenes ? parts[0] : Object.keys(scenes)[0];
-  const style = parts[1] in styles ? parts[1] : Object.keys(styles)[0];
-  return { scene, style, view: Math.max(0, scenes[scene].views.indexOf(parts[2])) };
-};
-
-const showView = (form, { scene, view }) => {
-  const { views } = scenes[scene];
-  const place = `${view + 1} of ${views.length}`;
-  form.view.max = views.length - 1;
-  form.view.value = view;
-  form.view.setAttribute("aria-valuetext", `${place}, ${views[view]}`);
-  find("output", form).textContent = `${place}: ${views[view]}`;
-  find("#sides").style.setProperty("--view", view);
-  for (const image of all(".strip img")) image.alt = `${image.alt.replace(/, view \d+ of \d+$/, "")}, view ${place}`;
-};
-
-const showPlace = (form, { scene, style }) => {
-  form.elements.scene.value = scene;
-  form.elements.style.value = style;
-  const shown = Object.keys(methods).filter((name) => methods[name].guides.includes(styles[style].guide) && Object.keys(cells[name]).length);
-  find(".inputs").replaceChildren(...given(scene, style));
-  find(".outputs").replaceChildren(...shown.map((name) => method(name, scene, style)));
-  markBestCells();
-  hideBaselines(form);
-  say(`${scene} in ${style}: ${shown.length} methods`);
-};
-
-const hideBaselines = (form) => {
-  for (const node of all(".cell[data-baseline]")) node.hidden = form.baselines.checked;
-};
-
-const startCompare = () => {
-  const form = find("#compare");
-  let here = {};
-  let timer = 0;
-  const go = (place) => {
-    const moved = place.scene !== here.scene || place.style !== here.style;
-    here = place;
-    if (moved) showPlace(form, here);
-    showView(form, here);
-  };
-  const visit = (place) => { go(place); history.replaceState(null, "", hash(here.scene, here.style, scenes[here.scene].views[here.view])); };
-  const step = (count, round) => { const back = round % (2 * count - 2); return Math.min(back, 2 * count - 2 - back); }; // there and back
-  const stop = () => { clearInterval(timer); timer = 0; form.play.textContent = "Play"; visit(here); };
-  const play = () => {
-    if (timer) return stop();
-    let round = here.view;
-    const slow = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    timer = setInterval(() => { round += 1; go({ ...here, view: step(scenes[here.scene].views.length, round) }); }, slow ? 1500 : 250);
-    form.play.textContent = "Pause";
-  };
-  form.play.addEventListener("click", play);
-  form.view.addEventListener("input", () => { here = { ...here, view: Number(form.view.value) }; stop(); });
-  form.baselines.addEventListener("input", () => hideBaselines(form));
-  for (const select of [form.elements.scene, form.elements.style]) {
-    select.addEventListener("input", () => visit({ scene: form.elements.scene.value, style: form.elements.style.value, view: Math.min(here.view, scenes[form.elements.scene.value].views.length - 1) }));
-  }
-  form.addEventListener("submit", (event) => event.preventDefault());
-  addEventListener("hashchange", () => go(fromHash()));
-  go(fromHash());
-};
-
-if (find("#filters")) { startTables(); startPlot(); }
-if (find("#compare")) startCompare();
+startTables();
+startPlot();

@@ -152,6 +152,15 @@ def write_transforms(path: Path, images: Sequence[Path], world_from_camera: Pose
     path.write_text(json.dumps(content))
 
 
+def write_gaussian_splatting(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
+    """Cameras of a run of 3DGS, which have no principal point."""
+    (height, width), (fx, fy) = lens.size, lens.focal
+    shared = {"width": width, "height": height, "fy": fy, "fx": fx}
+    poses = [{"position": pose[:3, 3].tolist(), "rotation": pose[:3, :3].tolist()} for pose in world_from_camera]
+    names = [{"id": index, "img_name": image.stem} for index, image in enumerate(images)]
+    path.write_text(json.dumps([{**name, **shared, **pose} for name, pose in zip(names, poses, strict=True)]))
+
+
 def write_llff(path: Path, world_from_camera: Poses, lens: Lens) -> None:
     """One row per photograph."""
     rows = []

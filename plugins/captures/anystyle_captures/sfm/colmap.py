@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 from PIL import Image
 
 from anystyle.errors import MissingExtra
@@ -92,22 +92,17 @@ def match(
     options: SearchOptions,
     *,
     ordered: bool = False,
-    pairs: Sequence[tuple[int, int]] | None = None,
     threads: int = 1,
     on_progress: OnProgress = no_progress,
 ) -> ViewGraph:
-    """Features and verified matches, written into COLMAP's database ``folder / "database.db"``.
-
-    ``pairs`` to match are chosen by :func:`~anystyle_captures.sfm.model.pairs_to_match` unless they are given.
-    """
+    """Features and verified matches, written into COLMAP's database ``folder / "database.db"``."""
     load_pycolmap()
     import pycolmap
 
     sizes = [_search_size(photograph.size, options) for photograph in photographs]
     names = _import_photographs(folder, photographs, sizes)
     previews = _extract_features(folder, names, options, threads, on_progress)
-    chosen = pairs_to_match(previews, ordered) if pairs is None else pairs
-    _match_pairs(folder, names, chosen, options, threads, on_progress)
+    _match_pairs(folder, names, pairs_to_match(previews, ordered), options, threads, on_progress)
 
     verified = []
     with closing(pycolmap.Database.open(folder / "database.db")) as database:
@@ -214,30 +209,6 @@ def _match_pairs(
         pairing.match_list_path.write_text("".join(f"{names[first]} {names[second]}\n" for first, second in chunk))
         pycolmap.match_image_pairs(folder / "database.db", matching, pairing, verification, pycolmap.Device.cpu)
         on_progress(Progress.count("matches", min(start + CHUNK, len(pairs)), len(pairs)))
-
-
-def motion(
-    graph: ViewGraph, pair: VerifiedPair, intrinsics: Sequence[Float[np.ndarray, "3 3"]], size: tuple[int, int]
-) -> Float64[np.ndarray, "3 4"] | None:
-    """The motion from the first camera of a pair to the second, its translation in no unit; ``None`` if none is found.
-
-    ``intrinsics`` of both are in pixels of photographs of height and width ``size``.
-    """
-    import pycolmap
-
-    cameras = []
-    for matrix, view in zip(intrinsics, (pair.first, pair.second), strict=True):
-        height, width = graph.sizes[view]
-        across, down = width / size[1], height / size[0]
-        params = [matrix[0, 0] * across, matrix[1, 1] * down, matrix[0, 2] * across, matrix[1, 2] * down]
-        cameras.append(pycolmap.Camera(model="PINHOLE", width=width, height=height, params=params))
-    options = pycolmap.TwoViewGeometryOptions(compute_relative_pose=True)
-    options.ransac.random_seed = 0
-    matches = np.arange(pair.pixels.shape[1], dtype=np.uint32)[:, None].repeat(2, axis=1)
-    found = pycolmap.estimate_calibrated_two_view_geometry(
-        cameras[0], pair.pixels[0], cameras[1], pair.pixels[1], matches, options
-    )
-    return None if found.cam2_from_cam1 is None else found.cam2_from_cam1.matrix()
 
 
 def _map_incrementally(

@@ -1,0 +1,154 @@
+"""Cameras in or beside the file of a scene: of this program, of trainers' runs, and those of its photographs."""
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Annotated
+
+import numpy as np
+import torch
+from msgspec import Meta
+
+from anystyle.contracts import StoredCamera
+from anystyle.data.names import distinct, short_names
+from anystyle.data.poses import stored_cameras
+from anystyle.errors import UserError
+from anystyle.io.documents import read_json
+from anystyle.io.splats import Offset
+from anystyle.pipeline.export import turn
+from anystyle.ranges import Positive
+from anystyle.types import Cameras, StyledScene
+
+_log = logging.getLogger(__name__)
+_Row3 = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
+_Side = Annotated[int, Meta(gt=0, le=100_000)]
+
+
+@dataclass(frozen=True)
+class SavedCamera:
+    """A view in ``cameras.json``."""
+
+    name: str
+    height: _Side
+    width: _Side
+    intrinsics: tuple[_Row3, _Row3, _Row3]
+    world_from_camera: tuple[_Row4, _Row4, _Row4, _Row4]
+
+
+@dataclass(frozen=True)
+class SavedCameras:
+    """``cameras.json``."""
+
+    views: Annotated[list[SavedCamera], Meta(min_length=1)]
+
+
+@dataclass(frozen=True)
+class _ModelFrame:
+    """``dataparser_transforms.json`` of a run of nerfstudio: a point of its model is ``scale (R x + t)``."""
+
+    transform: Annotated[list[_Row4], Meta(min_length=3, max_length=3)]
+    scale: Positive
+
+
+def with_stored_cameras(
+    scene: StyledScene, path: Path, stored_in: str | None = None, own_up: str = "opencv"
+) -> StyledScene:
+    """A scene with the cameras beside its file, those of one size, where it has none of its own.
+
+    Arguments are those of :func:`cameras_beside`.
+    """
+    stored = {} if scene.names else cameras_beside(path, stored_in, scene.offset, own_up)
+    if not stored:
+        return scene
+    size = next(iter(stored.values())).size
+    alike = {name: camera for name, camera in stored.items() if camera.size == size}
+    poses = np.stack([camera.world_from_camera for camera in alike.values()])
+    intrinsics = np.stack([camera.intrinsics for camera in alike.values()])
+    cameras = Cameras(torch.from_numpy(poses).float()[None], torch.from_numpy(intrinsics).float()[None], size)
+    return replace(scene, cameras=cameras, names=tuple(short_names([PurePosixPath(name) for name in alike])))
+
+
+def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: str) -> dict[str, StoredCamera]:
+    """The cameras stored in a folder, or else beside a file or one folder above; empty where there are none.
+
+    A PLY of 3DGS in ``point_cloud/iteration_N`` has those of its run. They are moved to the scene: without its offset,
+    and to the frame of nerfstudio's model where ``dataparser_transforms.json`` says it.
+
+    Args:
+        path: The scene's file.
+        stored_in: The folder, if one is given.
+        offset: Of the scene.
+        own_up: Axes of the file itself; the scene, and the cameras, are in OpenCV's.
+    """
+    folders = [path.parent, path.parent.parent] if stored_in is None else [Path(stored_in)]
+    if stored_in is None and path.parent.name.startswith("iteration_"):
+        folders.append(path.parent.parent.parent)
+    for folder in folders:
+        if stored := _of_folder(folder):
+            return _in_model(_without(offset, stored), [folder, *folders], own_up)
+    return {}
+
+
+def _of_folder(folder: Path) -> dict[str, StoredCamera]:
+    file = folder / "cameras.json"
+    if not file.is_file() or not _is_own(file):
+        return stored_cameras(folder)
+    cameras, names = own_cameras(file)
+    return saved_cameras(StyledScene((), cameras, names))
+
+
+def _is_own(file: Path) -> bool:
+    """Whether a ``cameras.json`` is of this program, and not of another one."""
+    with file.open("rb") as stream:
+        return b'"world_from_camera"' in stream.read(4096)
+
+
+def _without(offset: Offset, stored: dict[str, StoredCamera]) -> dict[str, StoredCamera]:
+    """Cameras without the offset of the scene, where they have it."""
+    centers = np.array([camera.world_from_camera[:3, 3] for camera in stored.values()]).reshape(-1, 3)
+    if np.abs(centers - offset).sum() >= np.abs(centers).sum():
+        return stored
+    shift = np.pad(np.array(offset)[:, None], ((0, 1), (3, 0)))
+    return {
+        name: replace(camera, world_from_camera=camera.world_from_camera - shift) for name, camera in stored.items()
+    }
+
+
+def _in_model(stored: dict[str, StoredCamera], folders: list[Path], own_up: str) -> dict[str, StoredCamera]:
+    """Cameras in the frame of the splat that ``ns-export`` wrote, where the file of that frame is beside it."""
+    file = next((each for folder in folders if (each := folder / "dataparser_transforms.json").is_file()), None)
+    if file is None:
+        return stored
+    frame = read_json(file, _ModelFrame, what="frame of nerfstudio's model")
+    matrix = np.array(frame.transform)
+    to_opencv = turn(own_up, "opencv", torch.zeros((), dtype=torch.float64)).rotation.numpy()
+    rotation = to_opencv @ matrix[:, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+        raise UserError(f"{file}: transform has no rotation in it")
+    _log.warning("the cameras are moved to the frame of nerfstudio's model by %s", file)
+
+    def moved(pose: np.ndarray) -> np.ndarray:
+        after = np.eye(4)
+        after[:3, :3] = rotation @ pose[:3, :3]
+        after[:3, 3] = frame.scale * (rotation @ pose[:3, 3] + to_opencv @ matrix[:, 3])
+        return after
+
+    return {name: replace(each, world_from_camera=moved(each.world_from_camera)) for name, each in stored.items()}
+
+
+def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
+    """The cameras of a saved scene by the name of their view."""
+    poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
+    stored = zip(distinct(saved.names), poses.numpy(), intrinsics.numpy(), strict=True)
+    return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
+
+
+def own_cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of ``cameras.json``, those of one size as the first."""
+    views = read_json(path, SavedCameras, what="file of cameras").views
+    first = views[0]
+    alike = [view for view in views if (view.height, view.width) == (first.height, first.width)]
+    poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
+    intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
+    return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)

@@ -1,0 +1,60 @@
+"""Cameras that lie beside photographs are used without being asked for; photographs without one are left out."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from anystyle import stylize
+from anystyle.pipeline.options import PoseOptions, ViewOptions
+
+SMALL = ViewOptions(short_side=56)
+
+
+@pytest.fixture
+def capture(tmp_path):
+    """Six photographs of noise, which no search finds cameras of, with those of five in a COLMAP model."""
+    random = np.random.default_rng(0)
+    (tmp_path / "images").mkdir()
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    lines = []
+    for number in range(6):
+        name = f"{number:04d}.png"
+        pixels = random.integers(0, 255, (60, 80, 3), dtype=np.uint8)
+        Image.fromarray(pixels).save(tmp_path / "images" / name)
+        if number != 3:
+            lines += [f"{number + 1} 1 0 0 0 {-0.1 * number} 0 0 1 {name}", ""]
+    model = tmp_path / "sparse" / "0"
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    (model / "cameras.txt").write_text("1 PINHOLE 80 60 70 70 40 30\n")
+    (model / "points3D.txt").write_text("")
+    return tmp_path
+
+
+@pytest.mark.parametrize("use", ["auto", "known"])
+def test_cameras_beside_are_used_and_photographs_without_are_named(capture, caplog, use):
+    options = {"poses": PoseOptions(use), "reconstruction": "feedforward", "views": SMALL}
+    encoded = stylize(capture, "blue ink", model="tiny", **options).encoded
+    assert [source.name for source in encoded.sources] == ["0000", "0001", "0002", "0004", "0005"]
+    centres = encoded.cameras.world_from_camera[0, :, 0, 3]
+    steps = centres.diff() / centres.diff()[0]
+    np.testing.assert_allclose(steps, [1, 1, 2, 1], atol=1e-4)
+    assert "1 of 6 photographs have no stored camera and are left out: 0003" in caplog.text
+    assert ("cameras of 5 of 6 photographs are stored beside them, and are used" in caplog.text) == (use == "auto")
+
+
+def test_cameras_of_few_photographs_are_named_and_not_used(capture, caplog):
+    lines = (capture / "sparse" / "0" / "images.txt").read_text().splitlines()
+    (capture / "sparse" / "0" / "images.txt").write_text("\n".join(lines[:2]) + "\n")
+    encoded = stylize(capture, "blue ink", model="tiny", reconstruction="feedforward", views=SMALL).encoded
+    assert len(encoded.sources) == 6
+    assert "cameras of 1 of 6 photographs are stored beside them, and are not used, for they are too few" in caplog.text
+
+
+def test_a_damaged_file_of_cameras_is_named_and_not_used(capture, caplog):
+    (capture / "sparse" / "0" / "images.txt").unlink()
+    (capture / "transforms.json").write_text(json.dumps({"frames": 3}))
+    encoded = stylize(capture, "blue ink", model="tiny", reconstruction="feedforward", views=SMALL).encoded
+    assert len(encoded.sources) == 6
+    assert "cameras beside the photographs are not used: " in caplog.text
