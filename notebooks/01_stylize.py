@@ -109,8 +109,8 @@ Image(data=(out / "flight.gif").read_bytes())
 
 # %% [markdown]
 # ## Take it elsewhere
-# `by_picture.save(out)` writes every file of `anystyle stylize`. The PLY opens in SuperSplat, viser and other viewers
-# of 3D Gaussians.
+# `anystyle.save(by_picture, out)` writes every file of `anystyle stylize`. The PLY opens in SuperSplat, viser and other
+# viewers of 3D Gaussians.
 
 # %%
 by_picture.gaussians.save(out / "scene.ply")
