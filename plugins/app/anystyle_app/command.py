@@ -2,6 +2,7 @@
 
 import argparse
 import signal
+import socket
 import time
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -10,7 +11,7 @@ from pathlib import Path
 from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.run import show
 from anystyle.contracts import Command
-from anystyle.errors import MissingExtra
+from anystyle.errors import MissingExtra, UserError
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,6 +36,11 @@ class App(Command):
         arguments, overrides = split(parser(), words)
         if find_spec("gradio") is None:
             raise MissingExtra('anystyle app needs Gradio; pip install "anystyle[app]"')
+        try:  # Gradio would try a hundred ports, each for seconds
+            socket.create_server((arguments.host, arguments.port or 0)).close()
+        except OSError as error:
+            port = arguments.port or "any"
+            raise UserError(f"cannot answer at {arguments.host}, port {port}: {error.strerror}") from error
         from anystyle_app.making import Maker
         from anystyle_app.page import build, launch
 

@@ -125,11 +125,7 @@ def build(maker: Maker) -> gr.Blocks:
 
 
 def launch(page: gr.Blocks, maker: Maker, host: str, port: int | None, *, share: bool = False) -> str:
-    """Serve the page, and the maker's scenes, in a thread; answers with its address.
-
-    Raises:
-        UserError: The port is taken, or the address is none of this machine.
-    """
+    """Serve the page, and the maker's scenes, in a thread; answers with its address."""
 
     def file(request: Request) -> Response:
         name, wanted = request.path_params["name"], request.path_params["file"]
@@ -143,14 +139,11 @@ def launch(page: gr.Blocks, maker: Maker, host: str, port: int | None, *, share:
     if host in LOOPBACK and not share:  # no page under another name that leads to this machine may ask
         middleware.append(Middleware(TrustedHostMiddleware, allowed_hosts=[*LOOPBACK]))
     theme = Default(primary_hue="blue", font=FONT, font_mono=MONO)
-    try:
-        _, local, public = page.launch(
-            server_name=host, server_port=port, share=share, theme=theme, css_paths=CSS, footer_links=[],
-            app_kwargs={"routes": [Route("/made/{name}/{file}", file)], "middleware": middleware},
-            ssr_mode=False, prevent_thread_lock=True, quiet=True,
-        )  # fmt: skip
-    except OSError as error:
-        raise UserError(f"cannot answer at {host}, port {port or 'from 7860'}: {one_line(error)}") from error
+    _, local, public = page.launch(
+        server_name=host, server_port=port, share=share, theme=theme, css_paths=CSS, footer_links=[],
+        app_kwargs={"routes": [Route("/made/{name}/{file}", file)], "middleware": middleware},
+        ssr_mode=False, prevent_thread_lock=True, quiet=True,
+    )  # fmt: skip
     return public or local
 
 

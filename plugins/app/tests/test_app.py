@@ -1,6 +1,7 @@
 """The app without its page: scenes in folders of their own, what is said of them, and lines of errors."""
 
 import re
+import socket
 import zipfile
 
 import pytest
@@ -75,6 +76,15 @@ def test_what_cannot_be_made_is_one_line(tmp_path, inputs, style, more, line):
     with pytest.raises(UserError, match=line):
         Maker(tmp_path / "out").make(inputs, style, **more)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("host", "reason"), [("127.0.0.1", "in use"), ("203.0.113.1", "assign")])
+def test_an_address_that_cannot_be_had_is_one_line(monkeypatch, host, reason):
+    monkeypatch.setattr(command, "find_spec", lambda name: name)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UserError, match=f"cannot answer at {host}, port {port}: .*{reason}"):
+            command.App()(["--host", host, "--port", str(port)])
 
 
 def test_without_gradio_one_line_names_the_extra(monkeypatch):

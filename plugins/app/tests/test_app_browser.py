@@ -62,15 +62,6 @@ def test_nothing_but_scenes_is_served(app, path):
     assert asked(app, path=path) == 404
 
 
-def test_a_port_that_is_taken_is_one_line(app):
-    port = app.rstrip("/").rpartition(":")[2]
-    command = [sys.executable, "-m", "anystyle", "app", "--port", port]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"anystyle: error: cannot answer at 127.0.0.1, port {port}: ")
-    assert done.stderr.count("\n") == 1
-
-
 def test_from_a_splat_to_the_last_download(app, browser, page, errors, tmp_path):
     addresses, splat = [], write_scene(tmp_path)
     page.on("request", lambda request: addresses.append(request.url))
