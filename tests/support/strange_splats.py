@@ -196,8 +196,8 @@ def typed() -> dict[str, Callable[[dict[str, Array]], tuple[dict[str, Array], di
         "colours to 255": colors("f4", 255),
         "colours twice": colors("u1", 255, both=True),
         "more properties": lambda values: (
-            {"id": np.arange(COUNT), "f_0": values["y"], **values, "filter_3D": values["x"], "label": values["z"] > 0},
-            {"id": "u4", "label": "u1", "filter_3D": "f8"}, (),
+            {"id": np.arange(COUNT), "f_0": values["y"], **values, "confidence": values["x"], "label": values["z"] > 0},
+            {"id": "u4", "label": "u1", "confidence": "f8"}, (),
         ),
     }  # fmt: skip
 

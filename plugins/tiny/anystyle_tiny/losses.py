@@ -23,6 +23,7 @@ class Checkerboard(Loss):
         weight: In the objective; values are near 0.01.
 
     Example:
+        >>> import torch
         >>> from dataclasses import replace
         >>> from anystyle.testing.inputs import stylization
         >>> result = stylization()
@@ -57,6 +58,7 @@ class EdgeAwareSmoothness(Loss):
         weight: In the objective.
 
     Example:
+        >>> import torch
         >>> from dataclasses import replace
         >>> from anystyle.testing.inputs import stylization
         >>> result = stylization()
