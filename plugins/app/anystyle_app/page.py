@@ -59,7 +59,7 @@ def build(maker: Maker) -> gr.Blocks:
                 folder = maker.make(inputs, style, **how, report=report, session=request.session_hash)
             except Exception as error:
                 line = _line(error)
-                for path in filter(None, [*(files or []), picture]):  # Gradio's own folders are nobody's concern
+                for path in [*(files or []), *([picture] if picture else [])]:  # Gradio's own folders do not matter
                     line = line.replace(path, Path(path).name)
                 return said(warnings, line), gr.skip(), gr.skip()
         return said(warnings), shown(folder), gr.Dropdown(maker.made(), value=folder.name)
