@@ -166,6 +166,10 @@ def test_command_is_understood(page, line):
         assert rest[0] == "check"
         parse(importlib.import_module("anystyle_datasets.command").parser(), rest[1:])
         return
+    if command == "report":
+        module = "command_verify" if rest[:1] == ["verify"] else "command"
+        parse(importlib.import_module(f"anystyle_paper.{module}").parser(), rest[module == "command_verify" :])
+        return
     module = importlib.import_module(f"anystyle.commands.{command}")
     if command in COMPOSED:
         _compose(command, module, rest)

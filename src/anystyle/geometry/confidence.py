@@ -58,7 +58,8 @@ class ViewConfidence(Value):
         """In [0, 1], of each pixel of one camera."""
         (position,), (inside,) = _projected(self.points, camera)
         sides = self.points.new_tensor([CELLS[1] / camera.size[1], CELLS[0] / camera.size[0]])
-        column, row = (position[inside, :2] * sides).long().unbind(1)
+        last = torch.tensor([CELLS[1] - 1, CELLS[0] - 1], device=sides.device)
+        column, row = (position[inside, :2] * sides).long().minimum(last).unbind(1)  # a product may be rounded up
         depth, cell = position[inside, 2], row * CELLS[1] + column
         towards = F.normalize(camera.world_from_camera[0, 0, :3, 3] - self.points[inside], dim=-1)
         angle = torch.acos((self.directions[:, inside] * towards).sum(-1).amax(0).clamp(-1, 1))

@@ -1,0 +1,166 @@
+"""Runs side by side: what became of each job, seeds and intervals, stand-ins and published rows kept apart."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import stats
+
+from anystyle.contracts.protocol import Evaluation
+from anystyle.evaluation import record
+from anystyle.evaluation.tables import STAND_IN
+from anystyle_paper import published_figures as published
+from anystyle_paper import run_table as report
+from anystyle_paper import runs
+
+
+def evaluation(folder, figures, *, groups=None, stand_ins=None, better=None):
+    folder.mkdir(parents=True, exist_ok=True)
+    found = Evaluation(figures, 4, better=better or {}, groups=groups or {}, stand_ins=stand_ins or {})
+    record.write(found, folder, {"protocol": "paper"})
+    return folder
+
+
+def job(folder, *words, figures=None, logged=None, **more):
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / ".hydra" / "overrides.yaml").write_text("".join(f"- {word}\n" for word in words) or "[]\n")
+    if logged is not None:
+        (folder / "metrics.json").write_text(json.dumps(logged))
+    if figures is not None:
+        evaluation(folder / "evaluation", figures, **more)
+    return folder
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    root = tmp_path / "sweep"
+    job(root / "0", "ablation=base", "experiment=tiny", figures={"art_fid": 20.0}, better={"art_fid": "lower"})
+    job(root / "1", "ablation=no_text", "experiment=tiny", figures={"art_fid": 25.0})
+    job(root / "2", "ablation=no_style_loss", "experiment=tiny")
+    job(root / "10", "ablation=all_geometry", "experiment=tiny")
+    (root / "10" / "last.ckpt").write_bytes(b"half")
+    return root
+
+
+def test_jobs_in_order_with_what_became_of_them(sweep):
+    found = runs.find(sweep)
+    states = {"0": "finished", "1": "finished", "2": "failed", "10": "unfinished"}
+    assert [(run.folder.name, run.state) for run in found] == list(states.items())
+    lines, better = report.lines_of(found)
+    made = report.table(lines, [("", "art_fid")], better)
+    assert made.columns == ("variant", "source", "art_fid ↓")
+    assert [row[::2] for row in made.rows] == [
+        ("base", "20"), ("no_text", "25"), ("no_style_loss", "failed"), ("all_geometry", "unfinished")
+    ]  # fmt: skip
+
+
+def test_jobs_that_left_nothing_are_missing(sweep):
+    (sweep / "multirun.yaml").write_text(
+        "hydra: {overrides: {task: ['ablation=base,no_text,no_style_loss,all_geometry', 'experiment=tiny']}}\n"
+    )
+    found = runs.find(sweep)
+    assert [(run.folder.name, run.state, run.words[0]) for run in found] == [
+        ("0", "finished", "ablation=base"),
+        ("1", "finished", "ablation=no_text"),
+        ("2", "failed", "ablation=no_style_loss"),
+        ("3", "missing", "ablation=all_geometry"),
+        ("10", "unfinished", "ablation=all_geometry"),
+    ]
+
+
+def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
+    values = {"base": (10.0, 12.0, 14.5), "no_text": (20.0, 21.0, 19.0)}
+    for v, (name, some) in enumerate(values.items()):
+        for s, value in enumerate(some):
+            job(tmp_path / str(3 * v + s), f"ablation={name}", f"seed={s}", figures={"art_fid": value})
+    lines, better = report.lines_of(runs.find(tmp_path))
+    assert [line.title for line in lines] == ["base", "no_text"]
+    low, high = stats.t.interval(0.95, 2, loc=np.mean(values["base"]), scale=stats.sem(values["base"]))
+    assert lines[0].half_width(("", "art_fid")) == pytest.approx((high - low) / 2)
+    made = report.table(lines, [("", "art_fid")], better)
+    assert made.rows[0][2] == f"12.17 ± {(high - low) / 2:.4g}"
+    assert "3 seeds" in report.state_notes(lines)[-1]
+
+
+def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):
+    folder = evaluation(tmp_path / "run", {"art_fid": 300.0, "psnr": 20.0}, stand_ins={"art_fid": "texture"})
+    lines, _ = report.lines_of(runs.find(folder))
+    assert [(line.source, sorted(name for _, name in line.samples)) for line in lines] == [
+        ("computed here", ["psnr"]), (STAND_IN, ["art_fid"])
+    ]  # fmt: skip
+    lines += report.published_lines(published.load())[0]
+    made = report.table(lines, report.columns_of(lines, ["art_fid", "psnr"], ["", "Train"]), {})
+    for row in made.rows:
+        kinds = {"300": STAND_IN, "20": "computed here", "27.74": "published [1]"}
+        assert all(row[1] == said for value, said in kinds.items() if value in row[2:])
+
+
+def test_published_figures_are_sourced():
+    figures = published.load()
+    assert all(item.source and item.table and np.isfinite(item.value) for item in figures)
+    directed = published.better()
+    assert all(item.figure in directed for item in figures if item.table != "table_1")
+
+
+def test_files_of_published_figures_that_cannot_be_read(tmp_path):
+    path = tmp_path / "mine.json"
+    for text in ("[]", "{", '{"sources": {}, "rows": [{"method": "a"}]}'):
+        path.write_text(text)
+        with pytest.raises(
+            ValueError, match=r"mine\.json is not a valid file of published figures.* as in published\.json"
+        ):
+            published.load([path])
+
+
+def test_scenes_are_columns_in_the_order_of_the_paper(tmp_path):
+    groups = {f"scene {name}": {"art_score": 9.0 + i, "art_fid": 20.0 + i} for i, name in enumerate(("Train", "M60"))}
+    folder = evaluation(tmp_path / "run", {"art_fid": 20.5, "art_score": 9.5, "lpips": 0.4}, groups=groups)
+    lines, _ = report.lines_of(runs.find(folder))
+    assert report.figures_of(lines) == ["art_score", "art_fid", "lpips"]
+    scenes = report.scenes_of(lines, ["art_score", "art_fid"])
+    columns = report.columns_of(lines, ["art_score", "art_fid"], scenes)
+    made = report.table(lines, columns, published.better())
+    assert made.columns[2:] == ("Train art_score ↑", "Train art_fid ↓", "M60 art_score ↑", "M60 art_fid ↓")
+    assert made.rows[0][2:] == ("9", "20", "10", "21")
+    with pytest.raises(ValueError, match="no run has the figure 'nothing'; there are art_fid, art_score, lpips"):
+        report.figures_of(lines, ["nothing"])
+
+
+def test_one_scene_stands_beside_the_published_one_of_its_name(tmp_path):
+    found = Evaluation({"art_fid": 33.0}, 4, provenance={"scenes": ["train"]})
+    record.write(found, tmp_path, {"protocol": "paper"})
+    lines, _ = report.lines_of(runs.find(tmp_path))
+    lines += report.published_lines(published.load())[0]
+    scenes = report.scenes_of(lines, ["art_fid"])
+    made = report.table(lines, report.columns_of(lines, ["art_fid"], scenes), {})
+    column = made.columns.index("Train art_fid")
+    cells = {(row[0], row[1]): row[column] for row in made.rows}
+    assert cells[tmp_path.name, "computed here"] == "33"
+    assert cells["Styl3R", "published [1]"] == "27.74"
+    assert cells["AnyStyle (image), Agg", "published [1]"] == "22.86 (1st)"  # table_2 leaves the variant out
+
+
+def test_trainings_are_reported_by_what_they_logged(tmp_path):
+    job(tmp_path / "run", logged={"train/loss": 0.5, "val/psnr": None})
+    (line,) = report.lines_of(runs.find(tmp_path / "run"))[0]
+    assert line.title == "run" and line.value("", "train/loss") == 0.5
+
+
+def test_the_sheet_has_a_row_for_each_variant_and_a_column_for_each_style(sweep):
+    for number, shade in ((0, 10), (1, 90)):
+        images = sweep / str(number) / "evaluation" / "images"
+        for style in ("00", "01"):
+            for frame in range(3):
+                path = images / "stylized" / "train" / f"{style}_{frame:03d}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                Image.new("RGB", (8, 8), (shade + frame,) * 3).save(path)
+            (images / "style").mkdir(exist_ok=True)
+            Image.new("RGB", (8, 8), (200,) * 3).save(images / "style" / f"{style}.png")
+    lines, _ = report.lines_of(runs.find(sweep))
+    rows, titles, columns = report.sheet_cells(lines)
+    assert titles == ["style", "base", "no_text", "no_style_loss", "all_geometry"]
+    assert columns == ["style 00", "style 01"]
+    assert [cell.getpixel((0, 0))[0] for cell in (rows[0][0], rows[1][0], rows[2][1])] == [200, 11, 91]
+    assert [cell.text for cell in (rows[3][0], rows[4][1])] == ["failed", "unfinished"]
+    assert report.sheet_cells(lines[2:]) is None
