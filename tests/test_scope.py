@@ -10,7 +10,7 @@ ROOT = Path(__file__).parent.parent
 LINES = {"src": 14_900, "plugins": 15_900, "tests": 21_800}
 """Lines of code at most; tests are those of plugins, too."""
 
-KINDS, COMMANDS = 19, 14
+KINDS, COMMANDS = 19, 13
 
 
 def lines_of_code(path: Path) -> int:
