@@ -154,8 +154,6 @@ def test_siblings_never_import_each_other():
     graph = grimp.build_graph("anystyle", cache_dir=None)
     modules = defaultdict(set)
     for kind, rows in BUILTIN.items():
-        if kind == "protocol":
-            continue  # the paper's tables are the protocol of a model's renders, for several scenes
         modules[kind] = {target.partition(":")[0] for target in rows.values()}
     found = [
         (one, other)

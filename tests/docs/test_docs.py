@@ -147,6 +147,8 @@ def test_command_is_understood(page, line):
         words = words[words.index("-m") + 1 :]
     command, *rest = words[1:]
     assert command in available(), f"{page} shows a command that does not exist: {line}"
+    if rest == ["--help"]:
+        return
     if command == "study":
         _study(*rest)
         return
@@ -165,6 +167,10 @@ def test_command_is_understood(page, line):
     if command == "data":
         assert rest[0] == "check"
         parse(importlib.import_module("anystyle_datasets.command").parser(), rest[1:])
+        return
+    if command == "report":
+        module = "command_verify" if rest[:1] == ["verify"] else "command"
+        parse(importlib.import_module(f"anystyle_paper.{module}").parser(), rest[module == "command_verify" :])
         return
     module = importlib.import_module(f"anystyle.commands.{command}")
     if command in COMPOSED:

@@ -67,6 +67,7 @@ def test_that_device_has_values_and_mixes_with_no_other():
     ramp = torch.arange(6.0).reshape(2, 3)
     with elsewhere() as device:
         there = ramp.to(device)
+        assert there[[1, 0]].tolist() == ramp[[1, 0]].tolist()
         assert (2 * there + torch.tensor(1.0)).mean(0).tolist() == (2 * ramp + 1).mean(0).tolist()
         assert isinstance(torch.zeros(3, device=there.device), There) and not isinstance(there.cpu(), There)
         with pytest.raises(RuntimeError, match="tensors of two devices"):

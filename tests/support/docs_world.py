@@ -74,14 +74,8 @@ def of_data(folder: Path) -> None:
     Re10kScenes.example(folder / "RealEstate10K")
     (folder / "styl3r" / "test").mkdir(parents=True)
     shutil.copy(folder / "wikiart/Cubism/painter_0.jpg", folder / "styl3r/test/abstract_0.jpg")
-    for scene in ("Train", "Truck", "M60", "Garden"):
-        for frame in range(16):
-            _picture(folder / "tables" / "content" / scene / f"{frame:05d}.jpg", seed=60, shift=frame % 8)
     for style in range(50):
-        for place in ("stylos/examples/styles", "tables/style_images"):
-            _picture(folder / place / f"{style:02d}.jpg", seed=100 + style)
-    descriptions = "".join(f"{style:02d}.jpg;words\n" for style in range(50))
-    (folder / "tables" / "style_descriptions.txt").write_text(descriptions)
+        _picture(folder / "stylos/examples/styles" / f"{style:02d}.jpg", seed=100 + style)
 
 
 def of_study(folder: Path) -> None:

@@ -55,6 +55,8 @@ class _Literals(TorchFunctionMode):
         kwargs = dict(kwargs or {})
         if func is Tensor.tolist and isinstance(args[0], There):
             return args[0].inner.tolist()
+        if func is Tensor.__getitem__ and isinstance(args[1], list):  # PyTorch makes its tensor of indices on meta, too
+            args = (args[0], torch.tensor(args[1]))
         if func is Tensor.new_tensor:
             kwargs.setdefault("device", args[0].device)
             kwargs.setdefault("dtype", args[0].dtype)

@@ -9,7 +9,9 @@
     RESULTS/figures.json                        Figures, by ``judge``
 """
 
+import gzip
 import hashlib
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -20,11 +22,11 @@ from PIL import Image
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.documents import Figure, kept_json, read_json
+from anystyle.io.documents import MAX_BYTES, Figure, kept_json, parse_json, read_json
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import PROTOCOL, Inputs
 
-FIGURES = "figures.json"
+FIGURES, PACKED = "figures.json", "figures.json.gz"
 
 
 class Lock(Struct, frozen=True):
@@ -218,11 +220,20 @@ def read_lock(root: Path) -> Lock:
 
 
 def read_figures(root: Path) -> Figures:
-    """What the judge found in a folder of results, or in a file of figures."""
-    path = root if root.suffix == ".json" else root / FIGURES
+    """What the judge found in a folder of results, or in a file of figures, which may be packed by gzip."""
+    path = root if root.suffix in (".json", ".gz") else root / FIGURES
+    if path.name == FIGURES and not path.is_file() and path.with_name(PACKED).is_file():
+        path = path.with_name(PACKED)
     if not path.is_file():
         raise UserError(f"there is no {path}; run `anystyle benchmark judge {path.parent}` first")
-    return read_json(path, Figures, what="file of figures")
+    if path.suffix == ".json":
+        return read_json(path, Figures, what="file of figures")
+    try:
+        with gzip.open(path) as file:
+            text = file.read(MAX_BYTES)
+    except (OSError, EOFError, zlib.error) as error:
+        raise UserError(f"{path} cannot be unpacked ({one_line(error)})") from None
+    return parse_json(text, Figures, source=str(path), what="file of figures")
 
 
 def _of_other_track(track: Lock, other: Lock) -> str:

@@ -1,6 +1,7 @@
 """Methods differ where the interval of the difference says so."""
 
 import csv
+import gzip
 import json
 
 import msgspec
@@ -9,7 +10,7 @@ import pytest
 
 from anystyle.errors import UserError
 from anystyle_benchmark.command_compare import compare, main, sentences
-from anystyle_benchmark.results import Figures
+from anystyle_benchmark.results import Figures, read_figures
 from anystyle_study.statistics import Crossing, holm, t_pvalue
 
 
@@ -86,3 +87,12 @@ def test_methods_without_a_common_cell_cannot_be_compared(figures):
     apart = msgspec.structs.replace(figures, cells=cells, scenes=[])
     with pytest.raises(UserError, match="noise and pasted have no score in the same cell"):
         compare(apart, ["unstyled", "noise", "pasted"])
+
+
+def test_packed_scores_are_read_as_they_were(world, figures, tmp_path):
+    packed = tmp_path / "figures.json.gz"
+    packed.write_bytes(gzip.compress((world[1] / "figures.json").read_bytes()))
+    assert read_figures(tmp_path) == read_figures(packed) == figures
+    packed.write_bytes(packed.read_bytes()[:1000])
+    with pytest.raises(UserError, match=r"figures\.json\.gz cannot be unpacked"):
+        read_figures(tmp_path)

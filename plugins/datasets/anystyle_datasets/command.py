@@ -9,9 +9,8 @@ from pathlib import Path
 from anystyle.cli.arguments import new_parser, parse, subcommand
 from anystyle.contracts import Command
 from anystyle.errors import UserError
-from anystyle.evaluation.paper_folder import PaperFolder
 from anystyle.io.atomic import atomic_path, write_json
-from anystyle_datasets.checking import INDEX, FolderReport, check, words
+from anystyle_datasets.checking import INDEX, FolderReport, check
 from anystyle_datasets.duplicates import same_pictures
 from anystyle_datasets.wikiart import pictures_below
 
@@ -31,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser("data check", SUBCOMMANDS["check"])
     add = flags.add_argument
     add("path", type=Path, help="a folder")
-    layouts = ("scenes", "re10k", "styles", "wikiart", "tables")
+    layouts = ("scenes", "re10k", "styles", "wikiart")
     add("--as", dest="layout", choices=layouts, help="how to read it (default: recognised)")
     add("--min-views", type=int, default=2, help="views that a scene needs (default: %(default)s)")
     add("--headers", action="store_true", help="do not decode pixels: faster, but misses truncated files")
@@ -48,10 +47,6 @@ def check_command(arguments: argparse.Namespace) -> None:
         raise UserError("--write FILE needs --against FOLDER, whose pictures it lists")
     if arguments.index and (root / INDEX).is_file():
         raise UserError(f"--index: {root / INDEX} is there already; delete it to list the scenes anew")
-    has_tables = (root / "content").is_dir() and PaperFolder(root).styles.is_dir()
-    if arguments.layout == "tables" or (arguments.layout is None and has_tables):
-        _check_tables(root)
-        return
     start = time.perf_counter()
     report = check(root, layout=arguments.layout, min_views=arguments.min_views, decode=not arguments.headers)
     print("\n".join(lines(report)))
@@ -89,27 +84,8 @@ def lines(report: FolderReport) -> Iterator[str]:
         yield f"cameras   {report.posed}" + ("" if report.posed else ": training needs none")
     else:
         yield f"texts     {report.texts}"
-    yield from problem_lines(report.problems)
-
-
-def problem_lines(problems: Sequence[str]) -> Iterator[str]:
-    """How many problems there are, and each of them."""
-    yield f"problems  {len(problems)}"
-    yield from (f"          {problem}" for problem in problems)
-
-
-def _check_tables(root: Path) -> None:
-    layout = PaperFolder(root)
-    print("layout    tables")
-    for scene in layout.scene_names:
-        print(f"content   {scene}: {len(layout.photographs(scene))} of {layout.frames} photographs")
-    print(f"styles    {len(layout.style_files)} of {layout.num_styles}")
-    print(f"methods   {', '.join(layout.methods) or 'none'}")
-    problems = layout.problems()
-    print("\n".join(problem_lines(problems)))
-    if problems:
-        raise UserError(f"{root} is not complete for the paper's tables: {problems[0]}")
-    print(f"next      anystyle evaluate {words(protocol='table2', root=root)}")
+    yield f"problems  {len(report.problems)}"
+    yield from (f"          {problem}" for problem in report.problems)
 
 
 def _overlap(root: Path, tests: Path, write: Path | None) -> None:

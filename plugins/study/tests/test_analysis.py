@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from anystyle.errors import UserError
-from anystyle.evaluation import published_figures
+from anystyle_paper import published_figures
 from anystyle_study.analysis import AnalysisOptions, analyze, as_json
 from anystyle_study.command import StudyCommand
 from anystyle_study.contract import Scale

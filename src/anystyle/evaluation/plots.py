@@ -1,9 +1,9 @@
-"""Plots of evaluations: figures of every style and of every run, and the best and worst examples."""
+"""Plots of evaluations: figures of every style, and the best and worst examples."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.data.images import open_image
@@ -12,11 +12,8 @@ from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
 
-if TYPE_CHECKING:  # an evaluation has no runs
-    from anystyle.evaluation.run_table import ColumnKey, Line
-
 COLORS = {"ours": "#2f5d8a", "stand-in": "#c0862b", "published": "#8a8a92"}
-_INK, _RULE = "#1c1c1e", "#dcdce2"
+INK, RULE = "#1c1c1e", "#dcdce2"
 
 
 def plotting() -> Any:
@@ -37,7 +34,7 @@ def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
     if not names:
         return
     scenes = list(dict.fromkeys(row.scene for row in evaluation.rows))
-    figure, axes = _panels(len(names), scenes, width=3.1, height=1.25 + 0.16 * len(scenes), margin=(0.0, 0.4))
+    figure, axes = panels(len(names), scenes, width=3.1, height=1.25 + 0.16 * len(scenes), margin=(0.0, 0.4))
     explanation = ""
     for axis, name in zip(axes, names, strict=True):
         stands_in = name in evaluation.stand_ins
@@ -47,14 +44,14 @@ def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
             axis.plot(values, [level] * len(values), "o", color=color, alpha=0.45, markersize=5, markeredgewidth=0)
             score = (evaluation.scenes.get(scene, {}) if scene else evaluation.figures).get(name, math.nan)
             if math.isfinite(score):
-                axis.plot([score] * 2, [level - 0.22, level + 0.22], color=_INK, linewidth=1.4)
+                axis.plot([score] * 2, [level - 0.22, level + 0.22], color=INK, linewidth=1.4)
                 explanation = "dot: one style; line: the score of all styles, as in the table"
-        axis.tick_params(axis="x", labelsize=7, color=_RULE)
+        axis.tick_params(axis="x", labelsize=7, color=RULE)
         axis.xaxis.get_offset_text().set_fontsize(7)
         axis.locator_params(axis="x", nbins=4)
-        _label(axis, titled(name, evaluation.better), stands_in)
-    _caption(figure, caption, explanation)
-    _save(figure, path)
+        label(axis, titled(name, evaluation.better), stands_in)
+    write_caption(figure, caption, explanation)
+    save(figure, path)
 
 
 def examples(evaluation: Evaluation, path: Path) -> None:
@@ -79,59 +76,7 @@ def examples(evaluation: Evaluation, path: Path) -> None:
         sheet.save(temporary)
 
 
-def bars(lines: Sequence["Line"], columns: Sequence["ColumnKey"], better: Mapping[str, str], path: Path) -> bool:
-    """Draw a panel for each figure, in it a bar for each variant or published method; ``False`` without any figure.
-
-    Several seeds are dots, with the 95 % interval of their mean.
-    """
-    # Figures of stand-ins are marked below their panels, and have no bars of their own.
-    titles: dict[str, None] = {}
-    shown: dict[ColumnKey, dict[str, Line]] = {}
-    for line in lines:
-        title = f"{line.title}\npublished" if line.origin == "published" else line.title
-        if line.state:
-            title += f"\n{line.state}"
-        titles[title] = None
-        for column in columns:
-            if math.isfinite(line.value(*column)):
-                shown.setdefault(column, {})[title] = line
-    if not shown:
-        return False
-    figure, axes = _panels(len(shown), list(titles), width=2.3, height=0.75 + 0.24 * len(titles), margin=(1.6, 0.1))
-    panels = [column for column in columns if column in shown]
-    for axis, column in zip(axes, panels, strict=True):
-        ends = [0.0, 1e-9]
-        for level, title in enumerate(titles):
-            if line := shown[column].get(title):
-                ends += _bar(axis, level, line, column)
-            else:
-                axis.text(0, level, f" {number(None)}", va="center", fontsize=6.5, color=_INK)
-        axis.set_xlim(1.3 * min(ends), 1.3 * max(ends))
-        axis.set_xticks([])
-        scene, name = column
-        stands_in = any(line.origin == "stand-in" for line in shown[column].values())
-        _label(axis, f"{scene} {titled(name, better)}".strip(), stands_in)
-    if any(len(line.values(column)) > 1 for column, rows in shown.items() for line in rows.values()):
-        _caption(figure, "dot: one seed; bar: their mean, with its 95 % t interval")
-    _save(figure, path)
-    return True
-
-
-def _bar(axis: Any, level: int, line: "Line", column: "ColumnKey") -> list[float]:
-    """Draw a value, its seeds and its interval if there are several; return all ends."""
-    value, seeds = line.value(*column), line.values(column)
-    axis.barh(level, value, color=COLORS[line.origin], height=0.66)
-    ends = [value]
-    if len(seeds) > 1:
-        error = line.half_width(column)
-        axis.errorbar(value, level, xerr=error, color=_INK, linewidth=0.9, capsize=2.5)
-        axis.plot(seeds, [level] * len(seeds), "o", color="white", markersize=3, mec=_INK, mew=0.6)
-        ends += [value - error, value + error, *seeds]
-    axis.text(max(0, *ends), level, f"  {number(value)}", va="center", fontsize=6.5, color=_INK)
-    return ends
-
-
-def _panels(
+def panels(
     num_panels: int, titles: Sequence[str], *, width: float, height: float, margin: tuple[float, float]
 ) -> tuple[Any, list[Any]]:
     """A figure with panels in rows of four, and their axes; each has a level for every title, from above."""
@@ -145,23 +90,26 @@ def _panels(
         axis.set_ylim(len(titles) - 0.5, -0.5)
         axis.tick_params(axis="y", length=0)
         axis.spines[["top", "right", "left"]].set_visible(False)
-        axis.spines["bottom"].set_color(_RULE)
+        axis.spines["bottom"].set_color(RULE)
     for axis in axes[num_panels:]:
         axis.axis("off")
     return figure, axes[:num_panels]
 
 
-def _caption(figure: Any, *texts: str) -> None:
+def write_caption(figure: Any, *texts: str) -> None:
+    """Write lines below all panels of a figure; empty ones are left out."""
     figure.supxlabel("\n".join(filter(None, texts)), fontsize=7, color="#6e6e76")
 
 
-def _label(axis: Any, title: str, stands_in: bool) -> None:
-    axis.set_title(title, fontsize=8.5, color=_INK, loc="left")
+def label(axis: Any, title: str, stands_in: bool) -> None:
+    """Write a panel's title, and below it whether its figures are of a stand-in."""
+    axis.set_title(title, fontsize=8.5, color=INK, loc="left")
     if stands_in:
         axis.set_xlabel(STAND_IN, fontsize=7, color=COLORS["stand-in"])
 
 
-def _save(figure: Any, path: Path) -> None:
+def save(figure: Any, path: Path) -> None:
+    """Write a figure as PNG."""
     figure.set_layout_engine("constrained")
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})  # no version: the bytes are reproducible

@@ -5,7 +5,7 @@ from collections import Counter
 
 import pytest
 
-from anystyle.evaluation import published_figures as published
+from anystyle_paper import published_figures as published
 from tests.support.real_data import ROOT
 
 TRANSCRIPT = ROOT.parent / "reference" / "paper_tables.json"

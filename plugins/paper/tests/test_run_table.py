@@ -8,10 +8,11 @@ from PIL import Image
 from scipy import stats
 
 from anystyle.contracts.protocol import Evaluation
-from anystyle.evaluation import published_figures as published
-from anystyle.evaluation import record, runs
-from anystyle.evaluation import run_table as report
+from anystyle.evaluation import record
 from anystyle.evaluation.tables import STAND_IN
+from anystyle_paper import published_figures as published
+from anystyle_paper import run_table as report
+from anystyle_paper import runs
 
 
 def evaluation(folder, figures, *, groups=None, stand_ins=None, better=None):

@@ -1,4 +1,4 @@
-"""Tables, plots and a contact sheet of runs: Markdown, CSV, LaTeX and PNG."""
+"""The command ``anystyle report``."""
 
 import argparse
 import sys
@@ -6,11 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse
-from anystyle.cli.run import run, words_of
+from anystyle.contracts import Command
 from anystyle.errors import MissingExtra, UserError
-from anystyle.evaluation import plots, published_figures, run_table, runs
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import contact_sheet
+from anystyle_paper import bars, command_verify, published_figures, run_table, runs
+
+
+class Report(Command):
+    """Tables, plots and a contact sheet of runs: Markdown, CSV, LaTeX and PNG."""
+
+    def __call__(self, words: Sequence[str]) -> None:
+        if words[:1] == ["verify"]:
+            sys.exit(command_verify.main(words[1:]))
+        report(parse(parser(), words))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -30,14 +39,8 @@ def parser() -> argparse.ArgumentParser:
     return flags
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def report(arguments: argparse.Namespace) -> None:
     """Run ``anystyle report``."""
-    given = words_of(argv)
-    if given[:1] == ["verify"]:
-        from anystyle.commands import report_verify
-
-        return report_verify.main(given[1:])
-    arguments = parse(parser(), given)
     if not arguments.folders and not arguments.with_published and not arguments.published:
         raise UserError("no folder is named; give a run, a multirun or an evaluation, or --with-published alone")
     items = [item for folder in arguments.folders for item in runs.find(folder)]
@@ -47,7 +50,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     with atomic_directory(out) as folder:
         written = _side_by_side(arguments, lines, better, folder)
     print(f"\nin {out}: {', '.join(written)}")
-    return 0
 
 
 def _side_by_side(
@@ -73,13 +75,9 @@ def _side_by_side(
         pictures.save(out / "sheet.png")
         written.append("sheet.png")
     try:
-        if plots.bars(lines, columns, better, out / "figures.png"):
+        if bars.draw(lines, columns, better, out / "figures.png"):
             written.append("figures.png")
     except MissingExtra as error:
         print(f"no plot: {error}", file=sys.stderr)
     print(table.markdown(), end="")
     return written
-
-
-if __name__ == "__main__":
-    run(lambda: sys.exit(main()))

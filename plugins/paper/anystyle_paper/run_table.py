@@ -8,11 +8,11 @@ from typing import Literal
 
 from anystyle.data.images import open_image
 from anystyle.errors import UserError
-from anystyle.evaluation.published_figures import PublishedFigure
-from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.sheet import Cell, TextCard
 from anystyle.paths import natural
+from anystyle_paper.published_figures import PublishedFigure
+from anystyle_paper.runs import Run
 
 ColumnKey = tuple[str, str]
 """A scene and the name of a figure."""
@@ -72,7 +72,7 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
 
     Runs that differ only in the seed are one row; figures of stand-in networks are rows of their own.
     """
-    from anystyle.evaluation.paper_folder import SCENES
+    from anystyle_paper.paper_folder import SCENES
 
     printed = {name.casefold(): name for name in SCENES}
     common = set.intersection(*(set(run.words) for run in runs)) if len(runs) > 1 else set()
@@ -240,7 +240,7 @@ def sheet_cells(lines: Sequence[Line], *, num_styles: int = 6) -> tuple[list[lis
 def _stylized(line: Line) -> dict[str, Path]:
     """For each style the middle frame of the first scene, of the first run that has any."""
     from anystyle.data.folder import image_files
-    from anystyle.evaluation.paper_folder import images_by_style
+    from anystyle_paper.paper_folder import images_by_style
 
     folders = (run.evaluation / "images" for run in line.runs if run.evaluation)
     scenes = next((found for folder in folders if (found := list(folder.glob("stylized/[!.]*")))), [])

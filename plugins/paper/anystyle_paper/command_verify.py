@@ -1,5 +1,6 @@
 """Make figures of a table again, and compare them and what they rest on."""
 
+import argparse
 import shutil
 import sys
 import tempfile
@@ -8,26 +9,31 @@ from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.progress import progress_lines
-from anystyle.cli.run import FAILED, run, words_of
+from anystyle.cli.run import FAILED
 from anystyle.errors import UserError
-from anystyle.evaluation import run_table, runs, verify
+from anystyle_paper import run_table, runs, verify
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``anystyle report verify``; returns the exit status."""
-    parser = new_parser(
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle report verify``."""
+    flags = new_parser(
         "report verify",
         "Make the evaluations behind a row of a table again, in a fresh folder, and compare every figure: equal, "
         "equal within rounding, or not, and then what has changed (code, library, plugin, weights, input). "
         "A training is not repeated: its weights are judged again. Exit status 2 if a figure is another one.",
     )
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="as for anystyle report")
-    which = parser.add_mutually_exclusive_group()
+    flags.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="as for anystyle report")
+    which = flags.add_mutually_exclusive_group()
     which.add_argument("--row", metavar="ROW", help="this row (default: one at random)")
     which.add_argument("--all", action="store_true", help="every evaluation")
-    parser.add_argument("--cheap", action="store_true", help="compare versions and hashes alone; compute nothing")
-    parser.add_argument("--out", type=Path, help="keep the evaluations that are made here")
-    arguments = parse(parser, words_of(argv))
+    flags.add_argument("--cheap", action="store_true", help="compare versions and hashes alone; compute nothing")
+    flags.add_argument("--out", type=Path, help="keep the evaluations that are made here")
+    return flags
+
+
+def main(words: Sequence[str]) -> int:
+    """Run ``anystyle report verify``; returns the exit status."""
+    arguments = parse(parser(), words)
     items = [item for folder in arguments.folders for item in runs.find(folder)]
     lines, _ = run_table.lines_of(items)
     if not any(item.evaluation for item in items):
@@ -54,7 +60,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     held = sum(each.holds for each in checked)
     print(f"{held} of {len(checked)} evaluations hold")
     return 0 if held == len(checked) else FAILED
-
-
-if __name__ == "__main__":
-    run(lambda: sys.exit(main()))

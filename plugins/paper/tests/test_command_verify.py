@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from anystyle.commands import evaluate, report
+from anystyle.commands import evaluate
 from anystyle.errors import UserError
-from anystyle.evaluation import provenance, verify
-from anystyle.evaluation.runs import find
+from anystyle.evaluation import provenance
+from anystyle_paper import command, command_verify, verify
+from anystyle_paper.runs import find
 from tests.support.evaluation_cases import folders, picture
 
 METRICS = "metric=[psnr,timing]"
@@ -30,7 +31,7 @@ def evaluated(tmp_path, monkeypatch):
 
 def verified(capsys, folder: Path, *words: str) -> tuple[int, list[str]]:
     capsys.readouterr()
-    status = report.main(["verify", str(folder), *words])
+    status = command_verify.main([str(folder), *words])
     return status, capsys.readouterr().out.splitlines()
 
 
@@ -73,24 +74,24 @@ def test_a_row_is_drawn_at_random_or_named(evaluated, capsys):
     status, lines = verified(capsys, evaluated, "--cheap")
     assert status == 0 and lines[-1] == "1 of 1 evaluations hold"
     with pytest.raises(UserError, match="there are first, second"):
-        report.main(["verify", str(evaluated), "--row", "third"])
+        command_verify.main([str(evaluated), "--row", "third"])
 
 
 def test_nothing_is_taken_for_granted(evaluated, capsys):
     """An older record without checksums, a folder that holds earlier figures, and runs that were never judged."""
     Path("kept").mkdir()
     with pytest.raises(UserError, match="kept exists; figures are made again in a folder that does not"):
-        report.main(["verify", str(evaluated), "--all", "--out", "kept"])
+        command_verify.main([str(evaluated), "--all", "--out", "kept"])
     edit(evaluated / "first", lambda stored: stored["provenance"].pop("inputs"))
     with pytest.raises(UserError, match="holds no evaluation with its configuration and checksums of inputs"):
-        report.main(["verify", str(evaluated), "--row", "first", "--cheap"])
+        command_verify.main([str(evaluated), "--row", "first", "--cheap"])
     logged = Path("trained/0/.hydra")
     logged.mkdir(parents=True)
     (logged / "overrides.yaml").write_text("[seed=0]")
     (logged.parent / "metrics.json").write_text('{"train/loss": 0.5}')
     with pytest.raises(UserError, match="there are no evaluations, only trainings"):
-        report.main(["verify", "trained", "--all"])
-    report.main(["verify", str(evaluated / "second"), "trained", "--all", "--cheap"])
+        command_verify.main(["trained", "--all"])
+    command_verify.main([str(evaluated / "second"), "trained", "--all", "--cheap"])
     assert "without an evaluation, and not verified: trained/0" in capsys.readouterr().err
 
 
@@ -114,10 +115,10 @@ def test_code_with_uncommitted_changes_is_never_the_same():
 
 
 def test_the_table_says_whether_its_rows_are_of_one_version(evaluated, capsys):
-    report.main([str(evaluated)])
+    command.Report()([str(evaluated)])
     assert "All figures computed here are of anystyle " in capsys.readouterr().out
     edit(evaluated / "second", lambda stored: stored["provenance"].update(commit="b" * 40))
-    report.main([str(evaluated)])
+    command.Report()([str(evaluated)])
     told = capsys.readouterr().out
     assert "Rows are of 2 versions. anystyle " in told and "commit aaaaaaaaaaaa: first; " in told
 

@@ -11,12 +11,12 @@ from PIL import Image
 from scipy import stats
 
 from anystyle.cli.run import run
-from anystyle.commands import report as command
 from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.errors import MissingExtra
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.run_table import Line
 from anystyle.evaluation.tables import STAND_IN
+from anystyle_paper import bars, command
+from anystyle_paper.run_table import Line
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def evaluated(tmp_path):
 
 
 def test_every_form_is_written(evaluated, tmp_path):
-    assert command.main([str(evaluated), "--with-published", "--out", str(tmp_path / "out")]) == 0
+    command.Report()([str(evaluated), "--with-published", "--out", str(tmp_path / "out")])
     for name in ("table.md", "table.csv", "table.tex"):
         text = (tmp_path / "out" / name).read_text()
         assert STAND_IN in text and "published [1]" in text and "321.5" in text, name
@@ -43,8 +43,8 @@ def test_every_form_is_written(evaluated, tmp_path):
 
 def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_in(evaluated, tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots._save", lambda figure, path: drawn.append(figure))
-    command.main([str(evaluated), "--out", str(tmp_path / "out")])
+    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda figure, path: drawn.append(figure))
+    command.Report()([str(evaluated), "--out", str(tmp_path / "out")])
     art_fid, psnr = drawn[0].axes
     assert [label.get_text() for label in art_fid.get_yticklabels()] == ["evaluated"]
     assert [axis.patches[0].get_width() for axis in (art_fid, psnr)] == [321.5, 20.25]
@@ -54,13 +54,13 @@ def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_
 
 def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots._save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda figure, path: drawn.append(figure))
     values = [10.0, 12.0, 14.5]
     lines = [
         Line("base", "ours", "", {("", "psnr"): (*values, math.nan)}),
         Line("one", "ours", "", {("", "psnr"): (11.0,)}),
     ]
-    assert plots.bars(lines, [("", "psnr")], {}, tmp_path / "figures.png")
+    assert bars.draw(lines, [("", "psnr")], {}, tmp_path / "figures.png")
     (axis,) = drawn[0].axes
     (interval,) = [container for container in axis.containers if isinstance(container, ErrorbarContainer)]
     low, high = stats.t.interval(0.95, 2, loc=np.mean(values), scale=stats.sem(values))
@@ -72,7 +72,7 @@ def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, monkeypatch):
 
 def test_the_line_of_a_scene_in_the_spread_is_its_score_in_the_table(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots._save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda figure, path: drawn.append(figure))
     rows = tuple(Row("street", style, {"art_fid": value}) for style, value in (("a", 30.0), ("b", 50.0)))
     for facts, groups in (({"scenes": ["street"]}, {}), ({}, {"scene street": {"art_fid": 25.0}})):
         plots.spread(
@@ -88,7 +88,7 @@ def test_without_what_draws_the_tables_are_written_all_the_same(evaluated, tmp_p
         raise MissingExtra('plots need matplotlib: pip install "anystyle[report]"')
 
     monkeypatch.setattr("anystyle.evaluation.plots.plotting", absent)
-    command.main([str(evaluated), "--out", str(tmp_path / "out")])
+    command.Report()([str(evaluated), "--out", str(tmp_path / "out")])
     assert 'no plot: plots need matplotlib: pip install "anystyle[report]"' in capsys.readouterr().err
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         ".anystyle",
@@ -116,7 +116,7 @@ def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
     }
     for told, words in cases.items():
         with pytest.raises(SystemExit) as caught:
-            run(lambda words=words: command.main(words))
+            run(lambda words=words: command.Report()(words))
         assert caught.value.code == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert told in line, line

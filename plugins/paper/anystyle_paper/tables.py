@@ -15,15 +15,16 @@ from anystyle.data.images import image_size, read_square, to_tensor
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
 from anystyle.errors import UserError
-from anystyle.evaluation import published_figures, record
+from anystyle.evaluation import record
 from anystyle.evaluation.judge import judge_pairing
-from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, write_picture
 from anystyle.evaluation.pairing import Pairing, StylizedImages
-from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress
+from anystyle_paper import published_figures
+from anystyle_paper.model_renders import ModelRenders, Variant, suffix_of, write_picture
+from anystyle_paper.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 
 PHOTOGRAPHS = "photographs"
 STYLE_SIZE = 256

@@ -117,9 +117,8 @@ class PaperFolder:
     def require(self, *, texts: bool, methods: Sequence[str] | None, missing: MissingImages = "refuse") -> None:
         """Raise a UserError that says what is missing."""
         if lines := self.problems(texts=texts, methods=methods, missing=missing):
-            more = f" and {len(lines) - 3} more" if len(lines) > 3 else ""
             raise UserError(
-                f"root={self.root}: {'; '.join(lines[:3])}{more}; expected content/SCENE/FRAME.png, styles/STYLE.png "
+                f"root={self.root}: {'; '.join(lines)}; expected content/SCENE/FRAME.png, styles/STYLE.png "
                 "with styles/captions.jsonl or style_descriptions.txt, methods/METHOD/SCENE/STYLE/FRAME.png "
                 "(or STYLE_FRAME.png)"
             )

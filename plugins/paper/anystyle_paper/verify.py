@@ -14,12 +14,12 @@ from anystyle.contracts.protocol import Evaluation
 from anystyle.errors import UserError, one_line
 from anystyle.evaluation import record
 from anystyle.evaluation.provenance import foundations
-from anystyle.evaluation.run_table import Line
 from anystyle.io.checkpoint import sha256
 from anystyle.io.record import commit, versions
 from anystyle.registry.untrusted import check_saved
 from anystyle.types import OnProgress
 from anystyle.vision import weights
+from anystyle_paper.run_table import Line
 
 ROUNDING = 1e-5
 """Figures that differ by less than this share of their value are equal within rounding."""

@@ -8,12 +8,12 @@ import torch
 from PIL import Image
 
 from anystyle.contracts import StyleSource
-from anystyle.evaluation.model_renders import ModelRenders as Paper
-from anystyle.evaluation.model_renders import middle_square
 from anystyle.testing.inputs import images
 from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.types import Style
+from anystyle_paper.model_renders import ModelRenders as Paper
+from anystyle_paper.model_renders import middle_square
 from tests.support.evaluation_cases import Mean
 
 

@@ -1,1 +1,0 @@
-"""Protocols, one per file."""
