@@ -11,8 +11,8 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from anystyle.geometry.alignment import MatchedPoints, align
 from anystyle.types import Cameras, Geometry
+from anystyle_backbones.alignment import MatchedPoints, align
 from anystyle_backbones.reference_view import in_order, reference_first
 
 
