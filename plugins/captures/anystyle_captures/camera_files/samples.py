@@ -9,8 +9,8 @@ from jaxtyping import Float64
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from anystyle.data.names import names_below
 from anystyle.io import colmap
+from anystyle.paths import names_below
 from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL
 from anystyle_captures.camera_files.lens import Lens
 
