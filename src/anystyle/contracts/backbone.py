@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from anystyle.contracts.style import StylePredictor
 from anystyle.errors import UserError
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import (
     Attributes,
     Clusters,
