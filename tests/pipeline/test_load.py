@@ -132,7 +132,5 @@ def test_a_backbone_that_needs_cameras_is_given_them():
     torch.testing.assert_close(done.cameras.intrinsics, views.cameras.intrinsics)
     with pytest.raises(UserError, match=r"\Athis source knows no cameras of its scenes"):
         anystyle.stylize(replace(views, cameras=None), "deep blue", model=stylizer)
-    with pytest.raises(
-        UserError, match=r"\ANeedsCameras needs the cameras of its views, which have none; poses=known"
-    ):
+    with pytest.raises(UserError, match=r"\ANeedsCameras needs the cameras of its views, which have none; poses=known"):
         anystyle.stylize(views, "deep blue", model=stylizer, poses=anystyle.PoseOptions("predicted"))
