@@ -1,8 +1,8 @@
 """Stores the matrices and convolutions of a file of weights in 8 bits, as those that come with plugins are.
 
 ``python -m tests.support.quantize FROM TO [PREFIX ...]`` reads what ``anystyle train`` exported; see
-:func:`anystyle.io.checkpoint.dequantized` for the reader. Vectors, small tensors and those whose keys begin with a prefix
-stay in 16 bits; the header stays as it is.
+:func:`anystyle.io.checkpoint.dequantized` for the reader. Vectors, small tensors and those whose keys begin with a
+prefix stay in 16 bits; the header stays as it is.
 """
 
 import sys
