@@ -12,7 +12,7 @@ setup: .venv/.ready
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[$(EXTRAS)]" --group dev
+	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt --editable ".[$(EXTRAS)]" --group dev
 	# For CLIP's vocabulary alone; what the package asks for, torchvision first, is not needed.
 	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0
 	touch $@

@@ -81,8 +81,8 @@ scene.stylizer.style_encoder.match_text("a gloomy forest by my uncle")
 
 # %% [markdown]
 # ## A picture as the style
-# Pictures and texts share one embedding space, so a picture can be used wherever a text can. `anystyle examples` lists
-# the paintings that come with the package.
+# Pictures and texts share one embedding space, so a picture can be used wherever a text can. `anystyle stylize --help`
+# ends with the paintings that come with the package.
 
 # %%
 by_picture = results[len(texts)]

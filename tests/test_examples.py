@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import anystyle
-from anystyle.commands.examples import main
+from anystyle.commands.stylize import main
 from anystyle.data.folder import read_views
 from anystyle.data.images import image_size, open_image
 from anystyle.errors import UserError
@@ -61,9 +61,9 @@ def test_a_path_that_is_no_example_stays():
         read_views([Path("example:stret")], short_side=56, multiple=14, max_views=1)
 
 
-def test_the_command_lists_all_with_their_licences(capsys, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["anystyle"])
-    main()
-    listed = capsys.readouterr().out
-    for name, one in examples().items():
-        assert f"example:{name}\n  {one.title}\n  {one.author}, {one.year}; {one.license}\n" in listed
+def test_the_help_of_stylize_ends_with_all_and_their_licences(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    shown = capsys.readouterr().out.splitlines()[-len(NAMES) :]
+    for line, (name, one) in zip(shown, examples().items(), strict=True):
+        assert line.split() == f"example:{name} {one.title}; {one.author}, {one.year}; {one.license}".split()

@@ -1,7 +1,7 @@
 """Errors that a user can cause, as one-line messages."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class UserError(ValueError):
@@ -17,6 +17,12 @@ def one_line(message: object) -> str:
     return " ".join(str(message).split())
 
 
+def listing(items: Sequence[object], most: int = 10) -> str:
+    """Items in one line, the first ones where there are many."""
+    shown = ", ".join(str(item) for item in items[:most])
+    return shown + (f" and {len(items) - most} more" if len(items) > most else "")
+
+
 def did_you_mean(word: str, words: Iterable[str]) -> str:
     """``Did you mean 'this'?`` with a leading space where a known word is near, else nothing."""
     near = difflib.get_close_matches(word, list(words), n=1, cutoff=0.6)
@@ -26,5 +32,5 @@ def did_you_mean(word: str, words: Iterable[str]) -> str:
 def unknown(what: str, word: str, words: Iterable[str]) -> str:
     """Say that no ``what`` has this name, with the nearest one and all there are."""
     known = sorted(words)
-    listing = ", ".join(known) if known else "none"
-    return f"no {what} is named '{word}'.{did_you_mean(word, known)} Available: {listing}"
+    available = ", ".join(known) if known else "none"
+    return f"no {what} is named '{word}'.{did_you_mean(word, known)} Available: {available}"

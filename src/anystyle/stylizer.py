@@ -11,7 +11,6 @@ from PIL import Image
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, StylePredictor, neutral_embedding
-from anystyle.data.images import read_image
 from anystyle.errors import UserError
 from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Tokens, Views
 from anystyle.types.shapes import check_tensor
@@ -105,6 +104,8 @@ class Stylizer(nn.Module):
             raise UserError("a style is either a text or an image; mix two embeddings with `toward`")
         if image is not None:
             if isinstance(image, (str, Path, Image.Image)):
+                from anystyle.data.images import read_image
+
                 image = read_image(image, masked=True)[None].to(self.device)
             check_tensor(image, Float[Tensor, "B 3 h w"], "the style image")
             self._check_images(image, "style image")

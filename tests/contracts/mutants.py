@@ -6,15 +6,24 @@ find it, too.
 
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import nn
 
 from anystyle.contracts import Published
 from anystyle.errors import UserError
 from anystyle.io.checkpoint import load_strictly
-from anystyle.testing.toy.backbone import ToyAdapter, ToyAggregator, ToyBackbone, ToyGaussianHead, ToyGeometryHead
+from anystyle.testing.toy.backbone import (
+    ToyAdapter,
+    ToyAggregator,
+    ToyBackbone,
+    ToyEmbedder,
+    ToyGaussianHead,
+    ToyGeometryHead,
+)
 from anystyle.testing.toy.cameras import ToyCameras
 from anystyle.testing.toy.command import ToyCommand
 from anystyle.testing.toy.correspondence import ToyCorrespondence
@@ -195,6 +204,146 @@ class Tilted(ToyFormat):
         return replace(super().read(path), up="z")
 
 
+def posed(change):
+    """Change the cameras of a value."""
+    return lambda value: replace(value, cameras=change(value.cameras))
+
+
+def inverted(cameras):
+    return replace(cameras, world_from_camera=cameras.camera_from_world)
+
+
+def opengl(cameras):
+    return replace(cameras, world_from_camera=cameras.world_from_camera @ torch.diag(torch.tensor([1.0, -1, -1, 1])))
+
+
+def farther(cameras):
+    pose = cameras.world_from_camera.clone()
+    pose[..., :3, 3] *= 2
+    return replace(cameras, world_from_camera=pose)
+
+
+def in_fractions(cameras):
+    width_height = torch.tensor([cameras.size[1], cameras.size[0], 1.0])
+    return replace(cameras, intrinsics=cameras.intrinsics / width_height[:, None])
+
+
+def of_a_square(cameras):
+    intrinsics = cameras.intrinsics.clone()
+    intrinsics[..., 0, 2] = cameras.size[0] / 2
+    return replace(cameras, intrinsics=intrinsics)
+
+
+def transposed_lens(cameras):
+    order = [1, 0, 2]
+    return replace(cameras, intrinsics=cameras.intrinsics[..., order, :][..., order])
+
+
+def other_view(tensor):
+    return tensor.roll(1, dims=1)
+
+
+def along_ray(cameras):
+    """How much longer a ray is than its part along z, pixel by pixel."""
+    height, width = cameras.size
+    centre = torch.stack(torch.meshgrid(torch.arange(width) + 0.5, torch.arange(height) + 0.5, indexing="xy"))
+    ray = torch.linalg.inv(cameras.intrinsics) @ F.pad(centre, (0, 0, 0, 0, 0, 1), value=1.0).flatten(1)
+    return ray.norm(dim=-2).unflatten(-1, (height, width))
+
+
+def unprojected(change):
+    """A toy backbone whose adapter takes other geometry for its own."""
+    return backbone("adapter", lambda: Misled(change))
+
+
+class Misled(ToyAdapter):
+    def __init__(self, change):
+        super().__init__()
+        self.change = change
+
+    def forward(self, attributes, geometry, clusters):
+        return super().forward(attributes, self.change(geometry), clusters)
+
+
+class CameraLast(ToyEmbedder):
+    def forward(self, images):
+        tokens = super().forward(images)
+        return tokens.with_data(torch.cat([tokens.patches, tokens.data[:, :, :1]], dim=2))
+
+
+def by_columns(geometry):
+    """Depth whose patches are laid out column by column."""
+    height, width = (side // 4 for side in geometry.depth.shape[-2:])
+    patches = geometry.depth.unflatten(3, (width, 4)).unflatten(2, (height, 4)).movedim(4, 3).flatten(2, 3)
+    patches = patches.unflatten(2, (width, height)).transpose(2, 3)
+    return replace(geometry, depth=patches.movedim(3, 4).flatten(4, 5).flatten(2, 3))
+
+
+class Given(ToyGeometryHead):
+    reads_cameras = True
+
+    def forward(self, features, images, cameras):
+        return replace(super().forward(features, images), cameras=cameras)
+
+
+class NeedsCameras(ToyBackbone):
+    """Its scenes have the cameras of their views."""
+
+    needs_cameras = True
+    head = Given
+
+    def __init__(self):
+        super().__init__(dim=12, depth=2)
+        self.geometry_head = self.head(dim=12, patch_size=8)
+
+    @classmethod
+    def example(cls, folder):
+        return {}
+
+
+class Inverting(NeedsCameras):
+    head = changed(Given, "forward", posed(inverted))
+
+
+class AlongRay(ToyRenderer):
+    def __call__(self, gaussians, cameras):
+        return scale("depth", along_ray(cameras))(super().__call__(gaussians, cameras))
+
+
+class MeanOfBatches(ToyMetric):
+    def update(self, comparison):
+        self.total = self.total + (comparison.stylized - comparison.content).abs().mean()
+        self.count = self.count + 1
+
+
+class Reversed(ToyMetric):
+    better: ClassVar = {"change": "higher"}
+
+
+class Remembering(ToyMetric):
+    def reset(self):
+        total, count = self.total, self.count
+        super().reset()
+        self.total, self.count = total, count
+
+
+class Summed(ToyLoss):
+    def forward(self, result):
+        return super().forward(result) * len(result.renders.color)
+
+
+ROLLED, CONJUGATE = [1, 2, 3, 0], torch.tensor([1.0, -1.0, -1.0, -1.0])
+
+MISPLACED = [
+    *(posed(change) for change in (inverted, opengl, farther, in_fractions)),
+    lambda views: scale("depth", along_ray(views.cameras))(views),
+    lambda views: replace(views, depth=views.depth.log()),
+    scale("depth", 1000.0),
+    lambda views: replace(views, images=views.images.flip(-1)),
+]
+"""What makes the views of a scene disagree with each other."""
+
+
 MUTANTS = {
     "backbone": [
         (geometry(lambda value: replace(value, depth=value.depth.int())), "encodes_views"),
@@ -204,6 +353,16 @@ MUTANTS = {
         (backbone("gaussian_head", lambda: SharedHead(dim=12, patch_size=4)), "copies_compute_the_same"),
         (backbone("adapter", changed(ToyAdapter, "forward", scale("opacities", 2.5))), "gaussians_are_renderable"),
         (backbone("adapter", changed(ToyAdapter, "forward", lambda g: g.detach())), "attributes_carry_gradients"),
+        (backbone("embedder", lambda: CameraLast(dim=12, patch_size=4)), "patches_keep_their_places"),
+        (Inverting, "needed_cameras_are_those_of_the_scene"),
+        (geometry(by_columns), "patches_keep_their_places"),
+        *((geometry(posed(change)), "cameras_are_rigid_pinholes") for change in (in_fractions, of_a_square)),
+        *(
+            (unprojected(posed(change)), "gaussians_lie_where_pixels_see_them")
+            for change in (inverted, opengl, farther, of_a_square, transposed_lens)
+        ),
+        (unprojected(lambda g: replace(g, depth=other_view(g.depth))), "gaussians_lie_where_pixels_see_them"),
+        (unprojected(lambda g: replace(g, depth=g.depth.log())), "gaussians_lie_where_pixels_see_them"),
         (published(Lenient), "published_weights_load_strictly"),
         (published(Narrow), "a_published_file_becomes_a_stylizer"),
     ],
@@ -219,6 +378,7 @@ MUTANTS = {
         (changed(ToyLoss, "forward", torch.Tensor.double), "value_is_one_finite_number"),
         (given(ToyLoss, "forward", lambda result: result.detach()), "something_learns_from_it"),
         (ReadsAbsentImages, "absent_images_are_not_read"),
+        (Summed, "a_batch_has_a_mean"),
     ],
     "metric": [
         (changed(ToyMetric, "compute", lambda f: {"change": f["change"].nan_to_num(0)}), "too_little_is_not_an_error"),
@@ -226,6 +386,9 @@ MUTANTS = {
             given(ToyMetric, "update", lambda c: replace(c, stylized=c.stylized.clamp_(0.2, 0.8))),
             "inputs_are_left_alone",
         ),
+        (Remembering, "inputs_are_left_alone"),
+        (MeanOfBatches, "order_does_not_matter"),
+        (Reversed, "the_ideal_is_not_the_worst"),
     ],
     "style_encoder": [
         (changed(ToyStyleEncoder, "embed_images", lambda vectors: 2 * vectors), "images_become_vectors"),
@@ -236,6 +399,9 @@ MUTANTS = {
         (drawn(lambda g: replace(g, means=g.means * torch.tensor([1.0, 1.0, -1.0]))), "near_hides_far"),
         (drawn(lambda g: replace(g, rotations=g.rotations.detach())), "everything_carries_gradients"),
         (drawn(lambda g: replace(g, means=g.means + 0.1)), "points_appear_where_they_project"),
+        (AlongRay, "points_appear_where_they_project"),
+        (drawn(lambda g: replace(g, rotations=g.rotations[..., ROLLED])), "long_gaussians_are_turned"),
+        (drawn(scale("rotations", CONJUGATE)), "long_gaussians_are_turned"),
     ],
     "cameras": [
         (changed(ToyCameras, "read", flipped), "reads_its_example"),
@@ -264,6 +430,7 @@ MUTANTS = {
     "scenes": [
         (changed(ToyScenes, "name", lambda name: "wall"), "views_are_images"),
         (changed(ToyScenes, "read", scale("images", 255.0)), "views_are_images"),
+        *((changed(ToyScenes, "read", change), "views_agree") for change in MISPLACED),
     ],
     "styles": [
         (changed(ToyStyles, "read", lambda s: replace(s, image=None, text=None)), "styles_have_an_image_or_a_text"),

@@ -6,9 +6,10 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data.folder import cover, covering, read_views, tell_of_cut
+from anystyle.data.folder import cover, read_views, tell_of_cut
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
+from anystyle.types import SourceImage
 
 
 def save(path, width=64, height=48, shade=100):
@@ -238,14 +239,14 @@ def test_a_photograph_of_another_aspect_is_kept_whole(width, height, caplog):
         np.asarray(source.of_view(picture.resize((width * 3, height * 3))))[~inside],
         np.full_like(np.asarray(view)[~inside], 255),
     )
-    tell_of_cut([source, covering("b", (96, 128), (96, 128), whole=True)])
+    tell_of_cut([source, SourceImage.covering("b", (96, 128), (96, 128), whole=True)])
     (line,) = caplog.messages
     assert "1 of 2 photographs have another aspect" in line and line.endswith("kept whole, at fewer pixels: a")
 
 
 def test_a_photograph_of_nearly_the_same_aspect_fills_its_view():
-    assert covering("a", (60, 90), (96, 128), whole=True) == covering("a", (60, 90), (96, 128))
-    assert covering("a", (60, 90), (96, 128)).inside == (0, 0, 128, 96)
+    assert SourceImage.covering("a", (60, 90), (96, 128), whole=True) == SourceImage.covering("a", (60, 90), (96, 128))
+    assert SourceImage.covering("a", (60, 90), (96, 128)).inside == (0, 0, 128, 96)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from anystyle.data.names import differences, file_name, matched, names_below, short_names
+from anystyle.data.names import differences, matched
+from anystyle.paths import file_name, names_below, short_names
 
 RIG = ["cam0/1.png", "cam1/1.png"]
 

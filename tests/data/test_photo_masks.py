@@ -7,11 +7,11 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data.folder import covering, read_originals, read_views
+from anystyle.data.folder import read_originals, read_views
 from anystyle.data.images import open_alpha, open_image
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
-from anystyle.types import Views
+from anystyle.types import SourceImage, Views
 
 WHITE = 255
 
@@ -166,7 +166,7 @@ def test_masks_that_leave_little_and_nothing(tmp_path, caplog):
 
 
 def test_what_lies_beside_a_photograph_is_not_counted():
-    source = covering("a", (64, 48), (48, 64), whole=True)
+    source = SourceImage.covering("a", (64, 48), (48, 64), whole=True)
     views, report = masked_views(Views(torch.ones(1, 1, 3, 48, 64)), [source], {}, empty=False)
     assert report == {} and views.alpha is None and views.valid is not None
     assert views.valid[0, 0].nonzero().amin(0).tolist() == [0, 14] and views.valid.sum() == 48 * 36

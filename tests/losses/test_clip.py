@@ -13,9 +13,9 @@ from torch import Tensor, nn
 from anystyle.contracts import StyleEncoder
 from anystyle.losses.clip_directional import ClipDirectional
 from anystyle.losses.clip_patch import ClipPatch, random_corners, warp_to_corners
-from anystyle.style_encoders.long_clip import LongClip
 from anystyle.testing.oracle import assert_matches, fill_named, hashed, smooth_image
 from anystyle.types import Stylization
+from anystyle_backbones.long_clip import LongClip
 from tests.support.oracle import golden
 from tests.support.style_cases import stylization
 

@@ -8,10 +8,10 @@ from scipy.spatial.distance import euclidean
 from scipy.special import rel_entr, softmax
 from torchmetrics.functional.image import lpips as their_lpips
 
-from anystyle.metrics.cfsd import MAX_EXPONENT, structural_distance
 from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.vision import lpips, vgg, weights
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
+from anystyle_metrics.cfsd import MAX_EXPONENT, structural_distance
 from tests.support.judging_cases import filled_folder
 
 
@@ -50,7 +50,7 @@ def test_structural_distance_is_scipys_relative_entropy(reach, steep):
 
 def test_flat_similarities_are_told_apart(monkeypatch):
     """Where single precision loses a row's entropy in rounding: real features divided by 256 channels are that flat."""
-    monkeypatch.setattr("anystyle.metrics.cfsd.BLOCK", 16)
+    monkeypatch.setattr("anystyle_metrics.cfsd.BLOCK", 16)
     first, second = hashed(73, (32, 12, 12)), hashed(74, (32, 12, 12))
     rows = [features.flatten(1).double() / 32 for features in (first, second)]
     found, wanted = ((row.T @ row).log_softmax(-1) for row in rows)

@@ -11,7 +11,7 @@ from anystyle.commands import export, film, stylize
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.pipeline.beside import cameras_beside, with_stored_cameras
-from anystyle.pipeline.inputs import SavedScene, inputs_of
+from anystyle.pipeline.request import SavedScene, inputs_of
 from anystyle.pipeline.saved import read_saved, read_unturned
 from tests.pipeline.test_saved import RENDERER, transforms
 from tests.support.known_scene import photographed_wall, wall

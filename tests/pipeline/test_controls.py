@@ -12,7 +12,7 @@ import anystyle
 from anystyle import Controls, ViewOptions
 from anystyle.commands import stylize
 from anystyle.contracts import PosedViews
-from anystyle.data.folder import covering, read_views
+from anystyle.data.folder import read_views
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
@@ -20,7 +20,7 @@ from anystyle.pipeline.masks import Box, MaskFolder, Sphere, inside, mask_files,
 from anystyle.pipeline.saved import read_gaussians
 from anystyle.pipeline.words import request
 from anystyle.renderers.torch import TorchRenderer
-from anystyle.types import Cameras, Gaussians, Original
+from anystyle.types import Cameras, Gaussians, Original, SourceImage
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from tests.support.cards import World, arc
 
@@ -134,13 +134,13 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     mask = np.zeros((96, 128), np.uint8)
     mask[:, 64:] = 255
     Image.fromarray(mask).save(tmp_path / "one.png")
-    shown = SeenScene([covering("one", size, size)], cameras, TorchRenderer())
+    shown = SeenScene([SourceImage.covering("one", size, size)], cameras, TorchRenderer())
     weights = MaskFolder(tmp_path).weights(gaussians, shown)[0]
     assert weights.shape == (4,) and weights[:2].max() < 0.02 and weights[2:].min() > 0.98
     behind = replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0]))
     assert float(MaskFolder(tmp_path).weights(behind, shown).abs().max()) < 1e-5
     with pytest.raises(ValueError, match="no mask for the photograph two"):
-        MaskFolder(tmp_path).weights(gaussians, replace(shown, sources=[covering("two", size, size)]))
+        MaskFolder(tmp_path).weights(gaussians, replace(shown, sources=[SourceImage.covering("two", size, size)]))
 
 
 def test_a_mask_follows_the_photograph_that_is_made_straight(tmp_path):

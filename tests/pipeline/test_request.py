@@ -9,7 +9,7 @@ import torch
 import anystyle
 from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
 from anystyle.errors import UserError
-from anystyle.pipeline.inputs import InMemory, Photographs, SavedScene, inputs_of
+from anystyle.pipeline.request import InMemory, Photographs, SavedScene, inputs_of
 from anystyle.pipeline.words import args_of, recorded, request
 from anystyle.types import Views
 

@@ -7,12 +7,12 @@ from skimage.exposure import equalize_hist
 
 from anystyle.data.images import read_image
 from anystyle.evaluation.judge import judge_scene
-from anystyle.metrics.style_retrieval import StyleRetrieval
 from anystyle.testing.inputs import images
 from anystyle.testing.oracle import hashed
 from anystyle.types import Comparison, Style
 from anystyle.vision import networks
 from anystyle.vision.statistics import equalized_gray, hellinger, mean_std, rgb_uv_histogram
+from anystyle_magenta.style_retrieval import StyleRetrieval
 from tests.support.oracle import golden
 from tests.support.real_data import real
 

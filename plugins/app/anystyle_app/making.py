@@ -14,7 +14,7 @@ from anystyle.errors import UserError
 from anystyle.examples import PREFIX, title_of
 from anystyle.io.atomic import atomic_path
 from anystyle.paths import natural
-from anystyle.pipeline.inputs import inputs_of
+from anystyle.pipeline.request import inputs_of
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import slug
 from anystyle.types import Progress

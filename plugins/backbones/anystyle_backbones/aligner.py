@@ -11,9 +11,8 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from anystyle.geometry.alignment import MatchedPoints, align
-from anystyle.geometry.warp import pixels
 from anystyle.types import Cameras, Geometry
+from anystyle_backbones.alignment import MatchedPoints, align
 from anystyle_backbones.reference_view import in_order, reference_first
 
 
@@ -165,7 +164,7 @@ class Aligner(nn.Module):
         (height, width), (rows, columns) = cameras.size, matches.grid
         cell, weight = matches.cells.flatten(0, 1), matches.confidence.flatten(0, 1)
         size = depth.new_tensor([width / columns, height / rows])
-        cells = pixels(depth.new_empty(rows, columns)).flatten(1).mT  # P 2
+        cells = torch.cartesian_prod(torch.arange(rows), torch.arange(columns)).flip(1).to(depth)  # P 2, column and row
         sources = ((cells + 0.5) * size).expand(len(cell), -1, -1)
         scale = float(DOUBTFUL * width / cameras.intrinsics[:, :, 0, 0].mean())
         with torch.autocast(depth.device.type, enabled=False):

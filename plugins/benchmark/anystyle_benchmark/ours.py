@@ -15,7 +15,7 @@ from anystyle.io.atomic import write_json
 from anystyle.io.documents import read_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline import words
-from anystyle.pipeline.inputs import inputs_of
+from anystyle.pipeline.request import inputs_of
 from anystyle.pipeline.results import Results
 from anystyle.types import Cameras, SourceImage
 from anystyle_benchmark.job import SECONDS, WEIGHTS, Job

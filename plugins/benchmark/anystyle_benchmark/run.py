@@ -15,8 +15,7 @@ import msgspec
 import psutil
 from filelock import FileLock, Timeout
 
-from anystyle.data.images import listing
-from anystyle.errors import UserError, one_line
+from anystyle.errors import UserError, listing, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json
 from anystyle.io.process import kill

@@ -22,8 +22,8 @@ from anystyle.io.documents import as_number, read_json
 from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
 from anystyle.paths import expanded
-from anystyle.pipeline.cameras import from_files, scene_from_known
-from anystyle.pipeline.encode import encoder
+from anystyle.pipeline.cameras import from_files
+from anystyle.pipeline.encode import encoder, scene_from_known
 from anystyle.pipeline.styles import slug
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer

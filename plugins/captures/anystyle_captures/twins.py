@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from anystyle.data.images import listing
+from anystyle.errors import listing
 from anystyle.paths import natural
 from anystyle.types import Cameras
 

@@ -13,11 +13,11 @@ from typing import Literal, TypeVar
 
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
-from anystyle.data.images import image_size, listing, open_image
+from anystyle.data.images import image_size, open_image
 from anystyle.data.names import matched
 from anystyle.data.poses import read_poses, stored_cameras
 from anystyle.data.scene_folder import FolderScenes
-from anystyle.errors import UserError
+from anystyle.errors import UserError, listing
 from anystyle.io.documents import kept_json, read_json
 from anystyle.io.images import Picture
 from anystyle.registry.compose import override

@@ -9,9 +9,9 @@ from typing import Literal
 from PIL import Image
 
 from anystyle.data.captions import read_captions
-from anystyle.data.images import SUFFIXES, listing, readable
+from anystyle.data.images import SUFFIXES, readable
 from anystyle.data.stored import StoredStyle, StoredStyles
-from anystyle.errors import UserError
+from anystyle.errors import UserError, listing
 from anystyle.io.documents import read_text
 from anystyle.ranges import AtLeastOne, Count
 

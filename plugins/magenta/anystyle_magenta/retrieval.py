@@ -6,15 +6,15 @@ from typing import ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics.style_retrieval import Retrieval
 from anystyle.vision.weights import checksums
 from anystyle_magenta.networks import StylePrediction
 from anystyle_magenta.pretrained import load_prediction
 from anystyle_magenta.style_encoder import centre_square
+from anystyle_magenta.style_retrieval import Retrieval
 
 
 class MagentaRetrieval(Retrieval):
-    """:class:`~anystyle.metrics.style_retrieval.Retrieval` by the 100 numbers of Magenta's prediction network.
+    """:class:`~anystyle_magenta.style_retrieval.Retrieval` by the 100 numbers of Magenta's prediction network.
 
     An independent judge of models trained with EfficientNet-Lite0, but not of ``model=painter``, which uses it.
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
-from anystyle.data.images import listing
-from anystyle.errors import UserError
+from anystyle.errors import UserError, listing
 from anystyle.evaluation.names import Names, sequence, splits
 from anystyle.evaluation.pairing import Gap, MissingImages
 from anystyle.paths import natural

@@ -13,10 +13,9 @@ from anystyle.contracts import Command
 from anystyle.errors import MissingExtra, UserError
 from anystyle.pipeline.encode import encode
 from anystyle.pipeline.export import export_styles
-from anystyle.pipeline.inputs import SavedScene, inputs_of
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.read import read
-from anystyle.pipeline.request import Request
+from anystyle.pipeline.request import Request, SavedScene, inputs_of
 from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages

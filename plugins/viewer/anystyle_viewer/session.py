@@ -15,9 +15,8 @@ from anystyle.io.atomic import write_json
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls, applied, blended
-from anystyle.pipeline.inputs import inputs_of
 from anystyle.pipeline.masks import parsed
-from anystyle.pipeline.request import Request
+from anystyle.pipeline.request import Request, inputs_of
 from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
 from anystyle.pipeline.words import args_of

@@ -16,8 +16,8 @@ from anystyle.io.atomic import atomic_directory
 from anystyle.pipeline.beside import with_stored_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.film import Film
-from anystyle.pipeline.inputs import file_of
 from anystyle.pipeline.load import default_device
+from anystyle.pipeline.request import file_of
 from anystyle.pipeline.saved import read_unturned
 from anystyle.registry.build import build
 from anystyle.registry.compose import options

@@ -16,14 +16,20 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.jobs import job_overrides
 from anystyle.types import Progress
 
+_EXAMPLES = "Examples that come with anystyle, for any path of photographs or of an image:"
+
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run ``anystyle stylize``."""
 
     def command() -> None:
-        flags = parser()
-        describe(flags)
-        arguments, overrides = parsed(words_of(args), flags)
+        flags, words = parser(), words_of(args)
+        if {"-h", "--help"} & {*words}:
+            from anystyle.examples import listed
+
+            describe(flags)
+            flags.epilog = f"{flags.epilog}\n{_EXAMPLES}\n{listed()}"
+        arguments, overrides = parsed(words, flags)
         launch("stylize", lambda config: job(config, arguments), overrides, out=arguments.out)
 
     run(command)

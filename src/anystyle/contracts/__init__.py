@@ -12,7 +12,7 @@
 
 A plugin inherits from one of these classes, implements its abstract methods and is listed in one line of TOML.
 ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them, on an instance built
-with the options of :meth:`Pluggable.example <anystyle.registry.pluggable.Pluggable.example>`, the defaults unless
+with the options of :meth:`Pluggable.example <anystyle.registry.catalog.Pluggable.example>`, the defaults unless
 overridden. Names are imported when they are first asked for: a command needs no torch, and only trainings Lightning.
 """
 

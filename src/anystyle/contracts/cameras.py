@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import OnProgress, Original, SourceImage, Views
 
 

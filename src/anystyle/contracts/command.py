@@ -1,9 +1,9 @@
-"""The contract of a command; needs nothing but the standard library."""
+"""The contract of a command."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 
 
 class Command(Pluggable, ABC):

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from anystyle.errors import UserError
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import StyledScene
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from anystyle.errors import UserError
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import OnProgress
 
 SCENE = "scene "

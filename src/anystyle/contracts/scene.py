@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import (
     Cameras,
     Gaussians,

@@ -13,7 +13,7 @@ import torchmetrics
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import Comparison, Flow, Frames, Source, Stylization
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import Attributes, Scene, Site, Source, StyleEmbedding, TextMatch, Tokens
 
 

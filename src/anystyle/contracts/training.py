@@ -9,7 +9,7 @@ from torch import nn
 
 from anystyle.contracts.scene import SceneSource, StyleSource
 from anystyle.errors import UserError
-from anystyle.registry.pluggable import Pluggable
+from anystyle.registry.catalog import Pluggable
 from anystyle.types import Value
 
 

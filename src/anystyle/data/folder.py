@@ -15,21 +15,18 @@ import torch
 from PIL import Image
 
 from anystyle.data import images
-from anystyle.data.names import short_names
 from anystyle.data.poses import readers
-from anystyle.errors import UserError
+from anystyle.errors import UserError, listing
 from anystyle.examples import resolved
 from anystyle.io import video
 from anystyle.io.images import Picture
 from anystyle.io.limits import require
-from anystyle.paths import natural, text_of
+from anystyle.paths import natural, short_names, text_of
 from anystyle.types import Cameras, Original, SourceImage, Views
+from anystyle.types.views import SHOWN
 
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
-
-SHOWN = 0.75
-"""A smaller share of a photograph in its view is told of."""
 
 OTHER = frozenset({"@eadir", "__macosx", "depth", "depths", "mask", "masks", "normals", "thumbnails"})
 """Folders beside photographs whose images are not photographs."""
@@ -107,7 +104,7 @@ def tell_of_cut(sources: Sequence[SourceImage]) -> None:
             "at fewer pixels: %s",
             len(whole),
             len(shown),
-            images.listing(whole),
+            listing(whole),
         )
     if cut := [name for name, share in shown.items() if share < SHOWN]:
         _log.warning(
@@ -116,7 +113,7 @@ def tell_of_cut(sources: Sequence[SourceImage]) -> None:
             len(cut),
             len(shown),
             100 * min(shown.values()),
-            images.listing(cut),
+            listing(cut),
         )
 
 
@@ -159,21 +156,6 @@ def read_picture(
     picture = images.open_image(source, described, longest=max(1, round(2 * max(whole) / max(scale, 1.0))))
     covered, shown = cover(name, picture if straighten is None else straighten(picture), whole, size)
     return covered, replace(shown, path=path, straightened=straighten)
-
-
-def covering(name: str, source: tuple[int, int], size: tuple[int, int], *, whole: bool = False) -> SourceImage:
-    """What a view of ``size`` shows of a source, both height and width: its middle, as large as fits.
-
-    If that were less than :data:`SHOWN` of it, and it is to be ``whole``, all of it in the middle of the view.
-    """
-    scale, other = sorted((source[1] / size[1], source[0] / size[0]))
-    if whole and scale < SHOWN * other:
-        (height, width), (tall, wide) = size, (round(source[0] / other), round(source[1] / other))
-        left, top, x, y = (width - wide) // 2, (height - tall) // 2, source[1] / wide, source[0] / tall
-        return SourceImage(name, source, (-left * x, -top * y, (width - left) * x, (height - top) * y), size)
-    width, height = scale * size[1], scale * size[0]
-    left, top = (source[1] - width) / 2, (source[0] - height) / 2
-    return SourceImage(name, source, (left, top, left + width, top + height), size)
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -281,7 +263,7 @@ def _film_of(folder: Path) -> list[Path]:
     if len(films) == 1:
         return films
     if films:
-        raise UserError(f"there are {len(films)} films in the folder {folder}; name one: {images.listing(films)}")
+        raise UserError(f"there are {len(films)} films in the folder {folder}; name one: {listing(films)}")
     if raw:
         raise UserError(
             f"the {len(raw)} photographs in the folder {folder} are not developed ({_kinds(raw)}); {_DEVELOP}"
@@ -334,10 +316,10 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
 def _tell_folders(item: Path, folders: Sequence[Path]) -> None:
     """Say which folders in a given one are read as photographs, or are not."""
     if len(folders) > 1:
-        _log.warning("the photographs of %s are those in %s", item, images.listing([each.name for each in folders]))
+        _log.warning("the photographs of %s are those in %s", item, listing([each.name for each in folders]))
     for folder in folders if len(folders) == 1 else ():
         if left := [each.name for each in folders_of_photographs(folder) if image_files(each)]:
-            _log.warning("%s has photographs of its own; those in %s are left out", folder, images.listing(left))
+            _log.warning("%s has photographs of its own; those in %s are left out", folder, listing(left))
 
 
 def _tell_left_out(folder: Path) -> None:
@@ -349,7 +331,7 @@ def _tell_left_out(folder: Path) -> None:
             len(maps),
             len(files),
             folder,
-            images.listing([file.name for file in maps], most=4),
+            listing([file.name for file in maps], most=4),
         )
     developed = {file.stem for file in files}
     if raw := [file for file in _visible(folder, RAW) if file.stem not in developed]:
@@ -379,6 +361,6 @@ def _nothing(problems: Sequence[str]) -> NoReturn:
 def cover(
     name: str, picture: Image.Image, source: tuple[int, int], size: tuple[int, int], *, whole: bool = False
 ) -> tuple[Image.Image, SourceImage]:
-    """A view of ``size`` from a picture, which may be a reduced copy of the source; see :func:`covering`."""
-    shown = covering(name, (source[1], source[0]), size, whole=whole)
+    """A view of ``size`` from a picture, which may be a reduced copy of the source; see ``SourceImage.covering``."""
+    shown = SourceImage.covering(name, (source[1], source[0]), size, whole=whole)
     return shown.resampled(picture, Image.Resampling.LANCZOS), shown

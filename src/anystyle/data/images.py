@@ -13,7 +13,7 @@ from PIL import ExifTags, Image, ImageCms, ImageOps
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from anystyle.errors import UserError, one_line
+from anystyle.errors import UserError, listing, one_line
 from anystyle.examples import resolved
 from anystyle.io.images import Picture, formats, opened, require_pixels, rounded_to_8_bits, stored_size
 
@@ -167,12 +167,6 @@ def readable(paths: Sequence[Path]) -> list[Path]:
     if bad := [reason for reason in reasons if reason is not None]:
         logger.warning("%d of %d pictures cannot be read and are left out: %s", len(bad), len(paths), listing(bad))
     return [path for path, reason in zip(paths, reasons, strict=True) if reason is None]
-
-
-def listing(items: Sequence[object], most: int = 10) -> str:
-    """Items in one line, the first ones where there are many."""
-    shown = ", ".join(str(item) for item in items[:most])
-    return shown + (f" and {len(items) - most} more" if len(items) > most else "")
 
 
 def _why_unreadable(path: Path) -> str | None:

@@ -1,11 +1,10 @@
-"""Names of photographs: distinct ones of views, and which photograph is meant by a name in another program's file."""
+"""Which photograph is meant by a name in another program's file."""
 
-import os
 import re
 import unicodedata
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import chain, count, takewhile
+from itertools import chain, takewhile
 from pathlib import Path, PurePath, PurePosixPath
 
 from anystyle.errors import UserError
@@ -15,40 +14,6 @@ ENCODINGS = ("gb18030", "cp932", "big5", "cp949", "cp1251", "cp437", "cp1252", "
 """Of names that were not written as UTF-8."""
 _DIFFERENCES = ("", "", "their suffix", "upper and lower case or Unicode's form", "their encoding")
 """Between two names, from the best agreement on; that a program leaves the suffix out is nothing to tell."""
-
-
-def distinct(names: Sequence[str], separator: str = "_") -> list[str]:
-    """The same names, with a number behind those that occurred before, upper or lower case: ``1``, ``1_2``, ``1_3``."""
-    taken: dict[str, str] = {}
-    for name in names:
-        numbered = (f"{name}{separator}{number}" for number in count(2))
-        candidate = next(one for one in chain([name], numbered) if one.casefold() not in taken)
-        taken[candidate.casefold()] = candidate
-    return list(taken.values())
-
-
-def file_name(name: str) -> str:
-    """A name as that of a file, without suffix, on any system: what separates folders or is reserved is a hyphen."""
-    letters = re.sub(r'[<>:"/\\|?*\x00-\x1f\x7f]+', "-", unicodedata.normalize("NFC", name)).strip(". ")
-    return letters.encode()[:200].decode(errors="ignore").rstrip(". ") or "view"
-
-
-def short_names(paths: Sequence[PurePath]) -> list[str]:
-    """The last parts of paths, as few as tell them apart, as distinct names: ``0001``, or ``cam0_0001``."""
-    different = len({str(path).casefold() for path in paths})
-    names = [path.name for path in paths]
-    for length in range(1, 1 + max((len(path.parts) for path in paths), default=0)):
-        names = ["_".join(path.parts[-length:]) for path in paths]
-        if len({name.casefold() for name in names}) == different:
-            break
-    return distinct([name.encode("utf-8", "replace").decode() for name in names])
-
-
-def names_below(paths: Sequence[Path]) -> list[str]:
-    """The paths of files below the folder that holds them all: ``0001.png``, or ``cam0/0001.png``."""
-    whole = [path.absolute() for path in paths]
-    top = os.path.commonpath([path.parent for path in whole]) if whole else ""
-    return [path.relative_to(top).as_posix() for path in whole]
 
 
 def matched(stored: Collection[str], images: Sequence[Path]) -> dict[Path, str]:

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from PIL import Image, ImageChops
 from torch import Tensor
 
-from anystyle.data.images import SUFFIXES, listing, open_alpha, open_image, to_tensor
-from anystyle.errors import UserError
+from anystyle.data.images import SUFFIXES, open_alpha, open_image, to_tensor
+from anystyle.errors import UserError, listing
 from anystyle.io import video
 from anystyle.types import Original, SourceImage, Views
 

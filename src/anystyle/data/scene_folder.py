@@ -8,13 +8,12 @@ from PIL import Image
 
 from anystyle.data.folder import common_size, image_files, nested_image_files
 from anystyle.data.images import image_size, readable
-from anystyle.data.names import short_names
 from anystyle.data.poses import read_poses
 from anystyle.data.stored import Shots, StoredScenes
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
-from anystyle.paths import inside, natural
+from anystyle.paths import inside, natural, short_names
 from anystyle.ranges import AtLeastOne
 
 logger = logging.getLogger(__name__)

@@ -8,9 +8,9 @@ from PIL import Image
 
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
-from anystyle.data.images import listing, readable
+from anystyle.data.images import readable
 from anystyle.data.stored import StoredStyle, StoredStyles
-from anystyle.errors import UserError
+from anystyle.errors import UserError, listing
 from anystyle.ranges import AtLeastOne
 
 logger = logging.getLogger(__name__)

@@ -8,8 +8,8 @@ from itertools import product
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from anystyle.data.images import SUFFIXES, listing
-from anystyle.errors import UserError
+from anystyle.data.images import SUFFIXES
+from anystyle.errors import UserError, listing
 from anystyle.evaluation.layout import DEFAULTS, Meaning, ResultLayout
 from anystyle.evaluation.names import Names, sequence
 from anystyle.paths import natural

@@ -37,6 +37,13 @@ def examples() -> dict[str, Example]:
     return read_json(FOLDER / "index.json", dict[str, Example])
 
 
+def listed() -> str:
+    """A line on each example: the name that stands for it, what it is, who made it when, and its licence."""
+    width = max(map(len, examples())) + len(PREFIX)
+    rows = ((f"{PREFIX}{name}", one) for name, one in examples().items())
+    return "\n".join(f"  {name:<{width}}  {one.title}; {one.author}, {one.year}; {one.license}" for name, one in rows)
+
+
 def resolved(path: Path) -> Path:
     """The files that ``example:NAME`` stands for; any other path as it is."""
     if not str(path).startswith(PREFIX):

@@ -10,11 +10,11 @@ import torch
 from msgspec import Meta
 
 from anystyle.contracts import StoredCamera
-from anystyle.data.names import distinct, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.io.splats import Offset
+from anystyle.paths import distinct, short_names
 from anystyle.pipeline.export import turn
 from anystyle.ranges import Positive
 from anystyle.types import Cameras, StyledScene

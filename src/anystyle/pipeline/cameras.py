@@ -1,20 +1,22 @@
 """Known cameras, such as those stored beside photographs, and placing them in the frame of a scene."""
 
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from jaxtyping import Float
-from torch import Tensor
-
 from anystyle.contracts import StoredCamera
-from anystyle.data.folder import covering, image_files, read_picture
+from anystyle.data.folder import image_files, read_picture
 from anystyle.data.images import to_tensor
-from anystyle.data.names import short_names
 from anystyle.data.poses import read_poses, readers, view_camera
-from anystyle.errors import UserError
-from anystyle.geometry.transforms import Similarity, similarity_of_cameras
+from anystyle.errors import UserError, listing
+from anystyle.geometry.transforms import Similarity
+from anystyle.paths import short_names
+from anystyle.pipeline.encode import ReadViews, scene_from_known
+from anystyle.pipeline.options import PoseOptions
 from anystyle.types import Cameras, SourceImage, Views
+
+_log = logging.getLogger(__name__)
 
 MAX_ASPECT_ERROR = 0.02
 """A stored camera's image may differ by this fraction from the photograph's aspect."""
@@ -55,17 +57,6 @@ class KnownCameras:
         return replace(targets, world_from_camera=similarity.poses(targets.world_from_camera)), similarity
 
 
-def scene_from_known(known: Float[Tensor, "V 4 4"], predicted: Float[Tensor, "V 4 4"]) -> Similarity:
-    """The similarity from the frame of known cameras to that of predicted ones, all of them world from camera."""
-    similarity = similarity_of_cameras(known, predicted)
-    if not bool(similarity.scale > 1e-9):
-        raise UserError(
-            "the cameras that are stored, or were found, do not match the images as the backbone sees them: they move "
-            "the other way; check that stored ones are in the images' order, or use poses=predicted"
-        )
-    return similarity
-
-
 def from_views(cameras: Cameras | None, names: Sequence[str]) -> KnownCameras:
     """The cameras that a source of scenes stores for its views."""
     if cameras is None:
@@ -84,7 +75,8 @@ def from_files(
     if not stored:
         searched = f"in {folder}" if folder is not None else "beside the photographs"
         expected = ", ".join(reader.expects for reader in readers())
-        raise UserError(f"no cameras are stored {searched}; expected one of: {expected}; or use poses=predicted")
+        remedy = "or use poses=sfm or poses=predicted"
+        raise UserError(f"no cameras are stored {searched}; expected one of: {expected}; {remedy}")
     images, undistorted, matched = views.images.clone(), list(sources), {}
     for index, source in enumerate(sources):
         if source.path is None or (camera := stored.get(source.path)) is None:
@@ -95,15 +87,36 @@ def from_files(
             picture, undistorted[index] = read_picture(source.path, source.name, source.view_size, apply)
             images[0, index] = to_tensor(picture)
     if not matched:
-        raise UserError("none of the photographs has a stored camera; use poses=predicted")
+        raise UserError("none of the photographs has a stored camera; use poses=sfm or poses=predicted")
     seen = [view_camera(_straight(camera), undistorted[index]) for index, camera in matched.items()]
     targets = [
-        view_camera(_straight(camera), covering(path.stem, camera.size, sources[0].view_size))
+        view_camera(_straight(camera), SourceImage.covering(path.stem, camera.size, sources[0].view_size))
         for path, camera in stored.items()
     ]
     names = tuple(short_names([path.with_suffix("") for path in stored]))
     known = KnownCameras(Cameras.cat(seen, dim=1), tuple(matched), Cameras.cat(targets, dim=1), names)
     return replace(views, images=images), tuple(undistorted), known
+
+
+def with_stored(given: ReadViews, poses: PoseOptions) -> ReadViews:
+    """Views with the cameras that are stored for them, where these are asked for."""
+    if poses.use not in ("known", "target"):
+        return given
+    views, sources = given.views, given.sources
+    names = [source.name for source in sources]
+    if sources[0].path is None:
+        known = from_views(views.cameras, names)
+    else:
+        views, sources, known = from_files(views, sources, None if poses.folder is None else Path(poses.folder))
+    if poses.use == "target":
+        return replace(given, views=views, sources=sources, targets=known)
+    if without := [name for index, name in enumerate(names) if index not in known.indices]:
+        told = "%d of %d photographs have no stored camera and are left out: %s"
+        _log.warning(told, len(without), len(names), listing(without))
+    kept = list(known.indices)
+    return replace(
+        given, views=views.select(kept), sources=tuple(sources[index] for index in kept), cameras=known.views
+    )
 
 
 def stored_beside(photographs: Sequence[Path], folder: Path | None = None) -> dict[Path, StoredCamera]:

@@ -8,7 +8,7 @@ views it shares with the one before.
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,18 +16,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Adapter, Backbone
-from anystyle.data.images import listing
-from anystyle.data.names import distinct, file_name
-from anystyle.errors import UserError
+from anystyle.contracts import Adapter, Backbone, Reconstruction
+from anystyle.errors import UserError, listing
 from anystyle.geometry.transforms import Similarity, similarity_of_cameras
 from anystyle.io import limits
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import KEPT, colors_alone, kept_render
-from anystyle.pipeline.cameras import scene_from_known
+from anystyle.paths import distinct, file_name
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.provenance import Entry
-from anystyle.pipeline.read import ReadViews
 from anystyle.pipeline.stages import Stages
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
@@ -35,6 +32,7 @@ from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Sour
 from anystyle.types.shapes import ShapeError, check_value
 
 if TYPE_CHECKING:
+    from anystyle.pipeline.cameras import KnownCameras
     from anystyle.pipeline.saved import ReadSplat
 
 _log = logging.getLogger(__name__)
@@ -88,6 +86,31 @@ class Group:
         if self.capture_from_group is None:
             return cameras
         return replace(cameras, world_from_camera=self.capture_from_group.poses(cameras.world_from_camera[0])[None])
+
+
+@dataclass(frozen=True)
+class ReadViews:
+    """The views of a scene as they were read.
+
+    Args:
+        views: On the CPU, all of one size.
+        sources: Where each view comes from.
+        reconstruction: What makes a scene of them.
+        cameras: The cameras of all views, stored or estimated; ``None`` where the backbone predicts them.
+        points: For each view, sparse points in the cameras' world that it shows, where some are known.
+        targets: Stored cameras that the scene is to be rendered from as well.
+        report: The entries of ``report.json`` on the cameras.
+        made_of: The photographs and films, for the report.
+    """
+
+    views: Views
+    sources: tuple[SourceImage, ...]
+    reconstruction: Reconstruction
+    cameras: Cameras | None = None
+    points: Sequence[Float[Tensor, "_ 3"]] | None = None
+    targets: "KnownCameras | None" = None
+    report: Mapping[str, object] = field(default_factory=dict)
+    made_of: tuple[Entry, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -243,7 +266,7 @@ def _single_pass(given: ReadViews, stylizer: Stylizer, options: ViewOptions, sta
         return scene
 
     with stages("encode", f"{num_views} views of {width}x{height}"):
-        cameras = given.cameras if stylizer.backbone.embedder.reads_cameras else None
+        cameras = given.cameras if stylizer.backbone.reads_cameras else None
         views = Views(given.views.images, cameras, names=given.views.names).to(stylizer.device)
         return encode_groups(encode, views, size=options.max_views, overlap=options.overlap)
 
@@ -344,6 +367,17 @@ def _capture_from_group(last: Group, scene: Scene, indices: Sequence[int]) -> Si
     translation = (target[:, :3, 3] - scale * source[:, :3, 3] @ rotation.mT).mean(0)
     last_from_group = Similarity(scale, rotation, translation)
     return last_from_group if last.capture_from_group is None else last.capture_from_group.after(last_from_group)
+
+
+def scene_from_known(known: Float[Tensor, "V 4 4"], predicted: Float[Tensor, "V 4 4"]) -> Similarity:
+    """The similarity from the frame of known cameras to that of predicted ones, all of them world from camera."""
+    similarity = similarity_of_cameras(known, predicted)
+    if not bool(similarity.scale > 1e-9):
+        raise UserError(
+            "the cameras that are stored, or were found, do not match the images as the backbone sees them: they move "
+            "the other way; check that stored ones are in the images' order, or use poses=predicted"
+        )
+    return similarity
 
 
 def with_cameras(groups: Sequence[Group], cameras: Cameras, adapter: Adapter) -> tuple[tuple[Group, ...], Similarity]:

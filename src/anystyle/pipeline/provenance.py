@@ -3,18 +3,13 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.data.folder import files_of
-from anystyle.data.names import short_names
-from anystyle.examples import FOLDER, examples
-from anystyle.io import video
 from anystyle.io.checkpoint import sha256
-from anystyle.paths import text_of
-from anystyle.types import SourceImage
+from anystyle.paths import short_names, text_of
 
 Entry = Mapping[str, object]
 """Of photographs, a scene, an image or a text: its kind, and what is known of it."""
@@ -23,6 +18,8 @@ Entry = Mapping[str, object]
 def entry(kind: str, files: Sequence[Path] = (), /, **facts: object) -> Entry:
     """An entry on one or several files or a text; the hash of several is that of the lines of ``sha256sum``."""
     if files:
+        from anystyle.examples import FOLDER, examples
+
         names = short_names(files)
         lines = [f"{sha256(file)}  {name}\n" for file, name in zip(files, names, strict=True)]
         listed = hashlib.sha256("".join(lines).encode(errors="surrogateescape")).hexdigest()
@@ -32,13 +29,6 @@ def entry(kind: str, files: Sequence[Path] = (), /, **facts: object) -> Entry:
             facts |= {"title": known.title, "author": known.author, "year": known.year}
             facts |= {"license": known.license, "source": known.provenance}
     return {"kind": kind, **facts}
-
-
-def photographs(inputs: Iterable[Path], sources: Sequence[SourceImage]) -> tuple[Entry, ...]:
-    """The entry of the photographs and films that views come from."""
-    shown, found = {source.path for source in sources}, [file for path in inputs for file in files_of(path)]
-    used = [file for file in found if file in shown or file.suffix.lower() in video.SUFFIXES]
-    return (entry("photographs", used, views=len(sources)),) if used else ()
 
 
 def without_folders(config: DictConfig) -> object:

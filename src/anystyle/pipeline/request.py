@@ -1,4 +1,4 @@
-"""What a stylization is asked for, as one value."""
+"""What a stylization is asked for, as one value; what is stylized is decided once, as it is made."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -9,15 +9,91 @@ from omegaconf import DictConfig
 
 from anystyle.contracts import StyleSource
 from anystyle.errors import UserError
+from anystyle.paths import natural
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.film import Film
-from anystyle.pipeline.inputs import GivenInputs, Inputs, check_inputs, inputs_of
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
 from anystyle.pipeline.styles import StyleInput, check_styles
 from anystyle.ranges import checked_seed
 from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, options, override
-from anystyle.types import Style
+from anystyle.types import Style, Views
+
+OWN = ".safetensors"
+"""The suffix of the Gaussians that ``anystyle stylize`` writes without any loss."""
+CHECKPOINTS = (".pt", ".pth", ".ckpt")
+PICTURE = "style.jpg"
+"""The small picture of a style beside its result, where it is an image."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Folders of photographs, files, patterns and videos."""
+
+    paths: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class SavedScene:
+    """A file of Gaussians, or a folder of results."""
+
+    path: Path
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """Views of one scene, in memory."""
+
+    views: Views
+
+
+Inputs = Photographs | SavedScene | InMemory
+GivenInputs = str | Path | Sequence[str | Path] | Views
+"""How Python names inputs: a folder, files, a pattern, a video or a saved scene; or views of one scene."""
+
+
+def inputs_of(given: GivenInputs) -> Inputs | None:
+    """What is given: one path may be a saved scene, others are photographs; ``None`` for no path."""
+    if isinstance(given, Views):
+        return InMemory(given)
+    paths = tuple(map(Path, [given] if isinstance(given, (str, Path)) else given))
+    if len(paths) == 1 and is_saved(paths[0]):
+        return SavedScene(file_of(paths[0]))
+    return Photographs(paths) if paths else None
+
+
+def is_saved(path: Path) -> bool:
+    """Whether this is a file or folder of Gaussians, or a folder that ``anystyle stylize`` wrote, and no capture."""
+    if path.is_dir() and (path / "report.json").is_file() and any(path.glob("*.safetensors")):
+        return True
+    path = file_of(path)
+    return scene_format(path) is not None or (path.suffix.lower() == OWN and not path.is_dir())
+
+
+def file_of(path: Path) -> Path:
+    """The file of a run's folder of 3DGS, ``point_cloud/iteration_N/point_cloud.ply`` of the largest N; else the path.
+
+    Example:
+        >>> file_of(Path("scene.ply"))
+        PosixPath('scene.ply')
+
+    Raises:
+        UserError: It is a checkpoint of a trainer.
+    """
+    if path.suffix.lower() in CHECKPOINTS and path.is_file():
+        raise UserError(
+            f"{path} is a checkpoint, and files of Gaussians are read: gsplat's trainer writes a PLY with --save_ply, "
+            "nerfstudio's scene becomes one by ns-export gaussian-splat"
+        )
+    found = path.glob("point_cloud/iteration_*/point_cloud.ply") if path.is_dir() else ()
+    return max(found, key=lambda file: natural(file.parent.name), default=path)
+
+
+def scene_format(path: Path) -> str | None:
+    """The plugin of kind ``format`` that reads a file as a scene of Gaussians, by its suffix, if one does."""
+    suffix = path.suffix.lower()[1:]
+    return suffix if suffix in catalog().names("format") and not path.is_dir() else None
 
 
 @dataclass(frozen=True)
@@ -114,7 +190,7 @@ class Request:
         """Refuse inputs that are not there."""
         if self.inputs is None and self.config.get("scenes") is None:
             raise UserError("no photographs are given; name a folder, files or a video")
-        check_inputs(self.inputs)
+        _check(self.inputs)
         folder = self.poses.folder
         if folder is not None and not Path(folder).exists():
             raise UserError(f"poses_from={folder} does not exist; name the folder or file that holds the cameras")
@@ -135,3 +211,17 @@ def _overrides_of(key: str, value: object) -> list[str]:
             return [override(f"{key}.{name}", item) for name, item in value.items()]
         case _:
             return [override(key, value)]
+
+
+def _check(inputs: Inputs | None) -> None:
+    """Refuse inputs that are not there, which takes no time, before networks are loaded, which takes long."""
+    match inputs:
+        case SavedScene(path) if not path.exists():
+            raise UserError(
+                f"there is no file {path}; name photographs, a video, a file of Gaussians or a saved folder"
+            )
+        case Photographs(paths):
+            from anystyle.data.folder import files_of
+
+            for path in paths:
+                files_of(path)

@@ -13,7 +13,6 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Format
-from anystyle.data.names import names_below
 from anystyle.errors import UserError, one_line
 from anystyle.formats import comments
 from anystyle.geometry.harmonics import rgb_from_constant
@@ -23,9 +22,10 @@ from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.io.splats import NEAR, Offset
+from anystyle.paths import names_below
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.film import Film
-from anystyle.pipeline.inputs import PICTURE
+from anystyle.pipeline.request import PICTURE
 from anystyle.pipeline.results import Result, Results, StylizeRun, pictures
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene

@@ -14,9 +14,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from anystyle.contracts import Format, Renderer
-from anystyle.data.folder import covering
 from anystyle.data.images import open_image
-from anystyle.data.names import short_names
 from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
@@ -25,11 +23,12 @@ from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render
+from anystyle.paths import short_names
 from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.inputs import OWN, PICTURE, file_of, scene_format
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
+from anystyle.pipeline.request import OWN, PICTURE, file_of, scene_format
 from anystyle.pipeline.stages import Stages
 from anystyle.ranges import Count
 from anystyle.registry.build import build
@@ -228,7 +227,7 @@ def cameras_of(
     stored = stored or cameras_beside(path, options.folder, saved.offset, own_up)
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
-        sources = tuple(covering(name, (side, side), (side, side)) for name in names)
+        sources = tuple(SourceImage.covering(name, (side, side), (side, side)) for name in names)
         gaussians = unstyled_of(saved)
         _log.warning(
             "no cameras are in %s or beside it: %d are chosen around the scene, some of them perhaps behind a wall; "
@@ -243,7 +242,7 @@ def cameras_of(
     whole = stored[names[chosen[0]]].size
     height, width = (max(multiple, round(length * side / min(whole) / multiple) * multiple) for length in whole)
     called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
-    sources = tuple(covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
+    sources = tuple(SourceImage.covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
     return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
 

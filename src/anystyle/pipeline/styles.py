@@ -9,9 +9,7 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.data.images import image_size, read_image
 from anystyle.errors import UserError
-from anystyle.examples import resolved, title_of
 from anystyle.io.sheet import Cell, to_pil
 from anystyle.pipeline.controls import Controls, rescaled
 from anystyle.pipeline.provenance import Entry, entry
@@ -99,6 +97,9 @@ def check_styles(styles: Sequence[StyleInput]) -> None:
         if isinstance(style, str):
             check_text(style)
         elif isinstance(style, Path):
+            from anystyle.data.images import image_size
+            from anystyle.examples import resolved
+
             image_size(resolved(style))
         elif isinstance(style, Named):
             check_text(style.name, "the name of a style")
@@ -145,6 +146,9 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             given, made_of = Style(text=(style,)), (entry("text", text=style),)
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), made_of)
         case Path():
+            from anystyle.data.images import read_image
+            from anystyle.examples import resolved, title_of
+
             file = resolved(style)
             title, image, made_of = title_of(style), read_image(file, masked=True)[None], (entry("image", [file]),)
         case Tensor():

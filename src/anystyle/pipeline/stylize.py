@@ -15,11 +15,10 @@ from anystyle.io.atomic import atomic_directory, folder_lock
 from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.encode import encode
-from anystyle.pipeline.inputs import GivenInputs
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.read import read
-from anystyle.pipeline.request import Request
+from anystyle.pipeline.request import GivenInputs, Request
 from anystyle.pipeline.results import Restyler, Results, StylizeRun
 from anystyle.pipeline.save import Failures, write
 from anystyle.pipeline.stages import Stages

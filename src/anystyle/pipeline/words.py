@@ -16,8 +16,7 @@ from anystyle.cli.arguments import is_override, new_parser, split
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.pipeline.controls import Controls, Mask, combinations
-from anystyle.pipeline.inputs import InMemory, SavedScene, inputs_of
-from anystyle.pipeline.request import Request
+from anystyle.pipeline.request import InMemory, Request, SavedScene, inputs_of
 from anystyle.pipeline.styles import Mixture, Named, StyleInput, check_text
 from anystyle.registry.compose import override
 

@@ -19,7 +19,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -28,13 +28,33 @@ from anystyle.errors import UserError, one_line, unknown
 from anystyle.io.documents import read_toml
 from anystyle.paths import expanded
 from anystyle.registry.builtin import BUILTIN, KINDS
-from anystyle.registry.pluggable import Pluggable
 
 VARIABLE = "ANYSTYLE_PLUGINS"
 _PREFIX = "anystyle."
 _KIND = "kind"
 _log = logging.getLogger(__name__)
 _Class = TypeVar("_Class", bound=type)
+
+
+class Pluggable:
+    """The base of contracts: what the plugins of a kind inherit from."""
+
+    many: ClassVar[bool] = False
+    """Whether a configuration holds several plugins of the kind at once."""
+    runtime: ClassVar[tuple[str, ...]] = ()
+    """Constructor arguments that are passed by name, and that are not options."""
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Options of an instance that can be checked in seconds; the constructor's defaults, unless overridden.
+
+        A large network returns a few thin layers, a data set the path of a small sample of its format that it has
+        just written.
+
+        Args:
+            folder: An empty folder to write into, there for as long as the instance is used.
+        """
+        return {}
 
 
 class PluginError(UserError):

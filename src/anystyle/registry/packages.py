@@ -7,6 +7,7 @@ import inspect
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from anystyle import paths
 from anystyle.registry.catalog import Plugin, PluginError, catalog, kinds
@@ -26,21 +27,42 @@ def source_file(module: str, root: Path | None) -> Path | None:
 
 def first_line(plugin: Plugin) -> str:
     """The first line of the docstring of a plugin's class, read from its source, for importing it may take seconds."""
-    module, _, name = plugin.target.partition(":")
     text = plugin.defined and inspect.getdoc(plugin.defined)
-    with suppress(OSError, SyntaxError, ValueError, ImportError):
-        text = text or _docstring(module, name, plugin.root)
+    if text is None and (source := _source(plugin)) is not None:
+        text = ast.get_docstring(source)
     return text.partition("\n")[0] if text else f"(not described in {plugin.target})"
 
 
-def _docstring(module: str, name: str, root: Path | None) -> str | None:
-    """The docstring of a class in a module, or in one that the module imports it from."""
+def constant(plugin: Plugin, name: str) -> Any:
+    """An attribute of a plugin's class: as its source has it, where it is a literal there; else the class is imported.
+
+    Raises:
+        PluginError: The class has to be imported, and cannot be.
+    """
+    source = _source(plugin) if plugin.defined is None else None
+    for statement in source.body if source is not None else ():
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == name:
+            with suppress(ValueError):
+                return ast.literal_eval(statement.value)
+    return getattr(plugin.load(), name)
+
+
+def _source(plugin: Plugin) -> ast.ClassDef | None:
+    """The source of a plugin's class, where it is found."""
+    module, _, name = plugin.target.partition(":")
+    with suppress(OSError, SyntaxError, ValueError, ImportError):
+        return _class(module, name, plugin.root)
+    return None
+
+
+def _class(module: str, name: str, root: Path | None) -> ast.ClassDef | None:
+    """The definition of a class in a module, or in one that the module imports it from."""
     file = source_file(module, root) or source_file(module, None)
     for statement in ast.parse(file.read_bytes()).body if file else ():
         if isinstance(statement, ast.ClassDef) and statement.name == name:
-            return ast.get_docstring(statement)
+            return statement
         if isinstance(statement, ast.ImportFrom) and name in (alias.name for alias in statement.names):
-            return _docstring(statement.module, name, root) if statement.module else None
+            return _class(statement.module, name, root) if statement.module else None
     return None
 
 

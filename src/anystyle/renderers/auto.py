@@ -1,13 +1,15 @@
 """The renderer that chooses another by the device of the tensors."""
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
-from typing import Any
 
 from anystyle.contracts import LinearView, Renderer
 from anystyle.registry.build import build
-from anystyle.registry.catalog import PluginError, catalog
+from anystyle.registry.catalog import Plugin, PluginError, catalog
+from anystyle.registry.packages import constant
 from anystyle.renderers.rasterizer import RendererOptions
 from anystyle.types import Cameras, Gaussians, Renders
 
@@ -38,15 +40,23 @@ class AutoRenderer(RendererOptions, Renderer):
 @cache
 def best_renderer(device: str) -> str:
     """The name of the renderer that ``auto`` takes for a type of device; decided once in a process."""
-    ranks: list[tuple[int, str]] = []
-    for name in catalog().names("renderer"):
-        try:
-            renderer: Any = catalog().find("renderer", name).load()
-        except PluginError as error:
-            _log.warning("renderer=auto skips %s: %s", name, error)
-            continue
-        if renderer.priority > 0 and (not renderer.devices or device in renderer.devices):
-            ranks.append((-renderer.priority, name))
-    if not ranks:
-        raise PluginError(f"no renderer is for {device}")
-    return min(ranks)[1]
+    plugins = [catalog().find("renderer", name) for name in catalog().names("renderer")]
+    ranked: list[tuple[int, Plugin]] = []
+    for plugin in plugins:
+        with _skipped(plugin):
+            ranked.append((constant(plugin, "priority"), plugin))
+    for priority, plugin in sorted(ranked, key=lambda each: -each[0]):
+        with _skipped(plugin):
+            devices = constant(plugin, "devices")
+            if priority > 0 and (not devices or device in devices):
+                plugin.load()
+                return plugin.name
+    raise PluginError(f"no renderer is for {device}")
+
+
+@contextmanager
+def _skipped(plugin: Plugin) -> Iterator[None]:
+    try:
+        yield
+    except PluginError as error:
+        _log.warning("renderer=auto skips %s: %s", plugin.name, error)

@@ -70,6 +70,9 @@ def cameras(cameras: Cameras, size: tuple[int, int]) -> None:
     focal, bottom = cameras.intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], cameras.intrinsics[..., 2, :]
     valid = bool((focal > 0).all() & (bottom == torch.tensor([0.0, 0.0, 1.0])).all())
     assert valid, "intrinsics that are not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths in pixels"
+    center = cameras.intrinsics[..., :2, 2] / torch.tensor([size[1], size[0]])
+    inside = bool(((center > 0.1) & (center < 0.9)).all())
+    assert inside, f"a principal point at {center.flatten(0, -2)[0].tolist()} of width and height; give it in pixels"
 
 
 def srgb(images: Tensor, what: str) -> None:

@@ -12,11 +12,12 @@ from torch import Tensor
 from anystyle import contracts
 from anystyle.contracts import Backbone, Published
 from anystyle.errors import UserError
+from anystyle.geometry.cameras import look_at
 from anystyle.pipeline.weights import load_reference
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import override
 from anystyle.testing import asserts
-from anystyle.testing.inputs import noise, views
+from anystyle.testing.inputs import cameras, noise, views_of
 from anystyle.testing.subject import Subject
 from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry, Scene, Tokens, Views, untouched
 from anystyle.types.shapes import check_value
@@ -57,18 +58,72 @@ def test_encodes_several_scenes_at_once(plugin: Subject[Backbone]) -> None:
 @torch.no_grad()
 def test_numbers_are_finite(plugin: Subject[Backbone]) -> None:
     """Nothing is NaN or infinite, not for black or white images either."""
-    images = _views(plugin).images
-    for given in (images, torch.zeros_like(images), torch.ones_like(images)):
-        scene = plugin.instance.freeze().encode(Views(images=given))
+    views = _views(plugin)
+    for given in (views.images, torch.zeros_like(views.images), torch.ones_like(views.images)):
+        scene = plugin.instance.freeze().encode(replace(views, images=given))
         asserts.finite((scene, _gaussians(plugin.instance, scene)), "the encoded scene")
 
 
 def test_cameras_are_rigid_pinholes(plugin: Subject[Backbone]) -> None:
     """Poses are rotations and translations, focal lengths positive, and the confidence of the depth at least 0."""
-    geometry = _scene(plugin).geometry
-    asserts.cameras(geometry.cameras, _views(plugin).size)
-    lowest = float(geometry.confidence.min())
-    assert lowest >= 0, f"a confidence of {lowest:.3g}"
+    for shape in ((2, 5), (5, 2)):
+        geometry = _scene(plugin, shape=shape).geometry
+        asserts.cameras(geometry.cameras, _views(plugin, shape=shape).size)
+        lowest = float(geometry.confidence.min())
+        assert lowest >= 0, f"a confidence of {lowest:.3g}"
+
+
+@torch.no_grad()
+def test_needed_cameras_are_those_of_the_scene(plugin: Subject[Backbone]) -> None:
+    """A backbone that needs cameras gives the scene those of its views; views without any raise a UserError."""
+    if not plugin.instance.needs_cameras:
+        return
+    asserts.close(_scene(plugin).cameras, _views(plugin).cameras, "the scene's cameras")
+    _assert_refused(plugin.instance.freeze().encode, replace(_views(plugin), cameras=None))
+
+
+@torch.no_grad()
+def test_patches_keep_their_places(plugin: Subject[Backbone]) -> None:
+    """Another patch in a photograph changes tokens, depth and Gaussians there most: views apart, patches row by row."""
+    views, patch, shape = _views(plugin, shape=(2, 5)), plugin.instance.patch_size, (2, 2, 5)
+    every = torch.eye(20).view(20, 2, 1, 2, 5).repeat_interleave(patch, dim=3).repeat_interleave(patch, dim=4)
+    others = replace(views.expand(20), images=views.images + every * (1 - 2 * views.images))
+    before, after = _maps(_scene(plugin, shape=(2, 5))), _maps(plugin.instance.encode(others))
+    for name, value in before.items():
+        change = (after[name] - value).abs()
+        change = change.reshape(*change.shape[:4], -1).sum(-1)  # 20 V h w
+        if not bool(change.sum((1, 2, 3)).all()):
+            continue
+        for what, axis in (("view", 1), ("column", 3)):
+            share = change.sum([each for each in (1, 2, 3) if each != axis])
+            center = (share * torch.linspace(0, 1, share.shape[1])).sum(1) / share.sum(1)
+            place = torch.cartesian_prod(*map(torch.arange, shape))[:, axis - 1]
+            follows = float(torch.corrcoef(torch.stack([center, place]))[0, 1])
+            assert follows > 0.7, f"{name} does not change at the {what} of a patch that changes (r = {follows:.2f})"
+
+
+@torch.no_grad()
+def test_gaussians_lie_where_pixels_see_them(plugin: Subject[Backbone]) -> None:
+    """In any cameras a Gaussian that is not moved by an offset lies in its pixel, as far away as the geometry says."""
+    views, adapter = _views(plugin, shape=(2, 5)), plugin.instance.adapter
+    scene, eyes = _scene(plugin, shape=(2, 5)), torch.tensor([[[2.0, -1.0, -3.0], [-1.0, 2.0, -2.0]]])
+    lenses = cameras(1, 2, views.size).intrinsics * torch.tensor([[1.0, 1.0, 0.8], [1.0, 1.5, 1.3], [1.0, 1.0, 1.0]])
+    seen = Cameras(look_at(eyes, torch.zeros_like(eyes)), lenses, views.size)
+    depth = torch.tensor([2.0, 4.0])[None, :, None, None].expand_as(scene.geometry.depth)
+    geometry = replace(scene.geometry, depth=depth).seen_from(seen)
+    offset = None if scene.attributes.offset is None else torch.zeros_like(scene.attributes.offset)
+    attributes = replace(scene.attributes, offset=offset)
+    clusters = adapter.cluster(geometry, attributes)
+    means = adapter(attributes, geometry, clusters).means[0]
+    means = means if clusters is None else means[clusters.index[0]]
+    motion = seen.camera_from_world[0, :, None]
+    points = torch.stack([means.unflatten(0, (2, -1)), geometry.points()[0].flatten(1, 2)])  # 2 V M 3
+    local = (motion[..., :3, :3] @ points[..., None])[..., 0] + motion[..., :3, 3]
+    pixel = (lenses[0, :, None] @ local[..., None])[..., :2, 0] / local[..., 2:]
+    away = float((pixel[0] - pixel[1]).norm(dim=-1).median())
+    assert away < 0.9, f"Gaussians are {away:.1f} pixels from the pixels of `geometry.points()`, in known cameras"
+    ratio = float((local[0, ..., 2] / local[1, ..., 2]).median())
+    assert 0.8 < ratio < 1.25, f"Gaussians are {ratio:.2f} times as far away along z as `geometry.points()`"
 
 
 def test_gaussians_are_renderable(plugin: Subject[Backbone]) -> None:
@@ -90,7 +145,7 @@ def test_every_site_is_visited(plugin: Subject[Backbone]) -> None:
     backbone, given = plugin.instance.freeze(), _views(plugin)
     visited: dict[str, Tokens] = {}
     record = lambda site, tokens: visited.setdefault(site, tokens)  # noqa: E731
-    features = backbone.aggregator(backbone.embedder(given.images), record)
+    features = backbone.aggregator(backbone.stem_of(given), record)
     in_aggregator = list(visited)
     backbone.gaussian_head(features, given.images, record)
     sites = {site.name: site for site in backbone.sites}
@@ -230,14 +285,21 @@ def _assert_refused(function: Callable[..., object], *given: object) -> None:
 
 def _views(plugin: Subject[Backbone], *, batch: int = 1, number: int = 2, shape: tuple[int, int] = (3, 3)) -> Views:
     """Views of ``batch`` scenes; ``shape`` is height and width in patches."""
-    patch = plugin.instance.patch_size
-    return views(batch, number, (shape[0] * patch, shape[1] * patch))
+    return views_of(plugin.instance, batch, number, shape)
 
 
 @cache
 @torch.no_grad()
-def _scene(plugin: Subject[Backbone], batch: int = 1) -> Scene:
-    return plugin.instance.freeze().encode(_views(plugin, batch=batch))
+def _scene(plugin: Subject[Backbone], batch: int = 1, shape: tuple[int, int] = (3, 3)) -> Scene:
+    return plugin.instance.freeze().encode(_views(plugin, batch=batch, shape=shape))
+
+
+def _maps(scene: Scene) -> dict[str, Tensor]:
+    """All that a backbone says of places in views, as maps of patches or pixels ``[B, V, h, w, ...]``."""
+    tokens = {"the stem": scene.stem} | {f"layer {layer}": each for layer, each in scene.features.items()}
+    depth = scene.geometry.depth if scene.geometry.pointmap is None else scene.geometry.pointmap
+    maps = {name: each.patches.unflatten(2, each.grid) for name, each in tokens.items()}
+    return maps | {"depth": depth} | asserts.tensors_of(scene.attributes)
 
 
 def _gaussians(backbone: Backbone, scene: Scene) -> Gaussians:

@@ -44,6 +44,15 @@ def test_value_is_reproducible(plugin: Subject[Loss]) -> None:
     asserts.same(result, before, "the stylization after the loss was computed")
 
 
+def test_a_batch_has_a_mean(plugin: Subject[Loss]) -> None:
+    """A batch of two equal scenes has about the value of one of them, not the sum."""
+    one = stylization(1, 2)
+    two = one.map(lambda tensor: torch.cat([tensor, tensor]))
+    two = replace(two, style=replace(two.style, text=(two.style.text or ()) * 2, names=two.style.names * 2))
+    alone, together = (_value(plugin, result).abs().item() for result in (one, two))
+    assert together <= 1.5 * alone, f"{together:.4g} for two equal scenes, {alone:.4g} for one; take the mean"
+
+
 def test_something_learns_from_it(plugin: Subject[Loss]) -> None:
     """It has a finite gradient in the renders, the Gaussians or what the backbone predicted."""
     result = stylization(1, 2)

@@ -8,14 +8,16 @@ from dataclasses import replace
 from functools import cache
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from anystyle.contracts import Metric
 from anystyle.testing import asserts
-from anystyle.testing.inputs import comparison, style_encoder
+from anystyle.testing.inputs import SIZE, comparison, generator, style_encoder
 from anystyle.testing.subject import Subject
 from anystyle.testing.toy.correspondence import ToyCorrespondence
-from anystyle.types import Comparison
+from anystyle.testing.toy.scenes import ToyScenes
+from anystyle.types import Comparison, Views
 
 
 def test_figures_are_declared(plugin: Subject[Metric]) -> None:
@@ -38,8 +40,10 @@ def test_too_little_is_not_an_error(plugin: Subject[Metric]) -> None:
 
 
 def test_order_does_not_matter(plugin: Subject[Metric]) -> None:
-    """Taking in scenes in another order, or as one batch, gives the same figures."""
-    for what, given in (("in another order", _rows()[::-1]), ("as one batch", [comparison(3)])):
+    """Taking in scenes in another order, or in batches of any sizes, gives the same figures."""
+    rows, unequal = _rows(), "in batches of two and one"
+    batches = {"in another order": rows[::-1], "as one batch": [comparison(3)], unequal: [comparison(2), rows[2]]}
+    for what, given in batches.items():
         asserts.close(_computed(build(plugin), given), _figures(plugin), f"the figures of the same scenes {what}")
 
 
@@ -56,13 +60,43 @@ def test_copies_and_processes_can_be_merged(plugin: Subject[Metric]) -> None:
 
 
 def test_inputs_are_left_alone(plugin: Subject[Metric]) -> None:
-    """What was compared is left as it was, and after ``reset`` it gives the same bits again."""
+    """What was compared is left as it was, and after ``reset`` nothing of it counts."""
     given, metric = comparison(2), build(plugin)
     before = given.map(Tensor.clone)
     figures = _computed(metric, [given])
     asserts.same(given, before, "the comparison after `update`")
+    _computed(metric, _rows())
     metric.reset()
-    asserts.same(_computed(metric, [given]), figures, "the same figures again")
+    asserts.same(_computed(metric, [given]), figures, "the figures of a metric that was reset against a new one's")
+
+
+def test_the_ideal_is_not_the_worst(plugin: Subject[Metric]) -> None:
+    """By ``better`` the style image is not the worst result where a figure compares with it, nor is the photograph.
+
+    The photographs themselves, in no time, are held to it where the figure reads them, their cameras or the seconds.
+    """
+    given, scenes = comparison(2), ToyScenes(size=SIZE)
+    assert given.style is not None and given.style.image is not None
+    world = Views.cat([scenes.read(scene, range(3)) for scene in range(2)])
+    style = F.interpolate(given.style.image, SIZE)[:, None].expand_as(world.images)
+    noise = torch.rand(world.images.shape, generator=generator(3))
+    slow = replace(given, content=world.images, cameras=world.cameras, depth=world.depth, seconds=torch.full((2,), 9.0))
+    photographs, noisy = replace(slow, stylized=world.images, seconds=torch.zeros(2)), replace(slow, stylized=noise)
+    results = {
+        "style image": replace(slow, stylized=style),
+        "photographs": photographs,
+        "inverse": replace(slow, stylized=1 - world.images.roll(1, dims=1)),
+        "noise": noisy,
+        "noise in another style": replace(noisy, style=replace(given.style, image=given.style.image.flip(1, 3))),
+        "noise of another scene": replace(photographs, stylized=noise, content=noise.flip(1), cameras=given.cameras),
+    }
+    figures = {what: _computed(build(plugin), [result]) for what, result in results.items()}
+    for name, better in build(plugin).better.items():
+        merit = {what: float(each[name]) * (1 if better == "higher" else -1) for what, each in figures.items()}
+        style, scene = merit.pop("noise in another style"), merit.pop("noise of another scene")
+        ideal = "style image" if style != merit["noise"] else "photographs" if scene != merit["noise"] else "noise"
+        worst = ideal != "noise" and merit.pop(ideal) < min(merit.values())
+        assert not worst, f"of all results the {ideal} has the worst `{name}`, for {better} is better; is it reversed?"
 
 
 def build(plugin: Subject[Metric]) -> Metric:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.projection import covariances
 from anystyle.testing import asserts
 from anystyle.testing.inputs import cameras, gaussians, generator
 from anystyle.testing.subject import Subject
@@ -66,7 +67,7 @@ def test_batches_are_loops(plugin: Subject[Renderer]) -> None:
 
 def test_points_appear_where_they_project(plugin: Subject[Renderer]) -> None:
     """A small Gaussian is seen at its projection, in OpenCV axes, at its own depth, and not from behind."""
-    seen, point = cameras(1, 3, (40, 56)), torch.tensor([0.5, -0.3, 0.4])
+    seen, point = cameras(1, 3, (40, 56)), torch.tensor([1.1, -0.7, 0.4])
     renders = _render(plugin, _single(point, size=0.05), seen)
     local = seen.camera_from_world[0, :, :3, :3] @ point + seen.camera_from_world[0, :, :3, 3]  # V 3
     pixel = (seen.intrinsics[0] @ local[..., None])[..., 0]
@@ -81,6 +82,19 @@ def test_points_appear_where_they_project(plugin: Subject[Renderer]) -> None:
     assert right, f"depth over alpha is {depth.tolist()}, and the distance along z is {local[:, 2].tolist()}"
     behind = _render(plugin, _single(torch.tensor([0.0, 0.0, -6.0]), size=0.2), cameras(1, 1, SIZE))
     assert not bool(behind.alpha.any()), "a Gaussian behind the camera is seen"
+
+
+def test_long_gaussians_are_turned(plugin: Subject[Renderer]) -> None:
+    """A long Gaussian has the extent that its quaternion wxyz gives it across the line of sight."""
+    rotation, scales = torch.tensor([[[0.8, 0.5, 0.2, 0.3]]]), torch.tensor([[[0.02, 0.3, 0.02]]])
+    alpha = _render(
+        plugin, replace(_single(torch.zeros(3), size=1.0), rotations=rotation, scales=scales), cameras(1, 1, (56, 56))
+    ).alpha[0, 0]
+    share, place = alpha / alpha.sum(), torch.arange(56) - 27.5
+    seen = float((share * (place**2 + place[:, None] ** 2)).sum())
+    expected = float(covariances(rotation, scales)[0, 0].diagonal()[:2].sum()) * (56 / 4) ** 2
+    told = f"a variance of {seen:.1f} pixels² of a long Gaussian, not {expected:.1f}; rotations are wxyz"
+    assert 0.5 < seen / expected < 2, told
 
 
 def test_near_hides_far(plugin: Subject[Renderer]) -> None:

@@ -1,11 +1,13 @@
 """What a source of scenes promises: see :class:`anystyle.contracts.SceneSource`."""
 
+import torch
 from torch import Tensor
 
 from anystyle.contracts import SceneSource
+from anystyle.geometry.warp import reproject, sample_at
 from anystyle.testing import asserts
 from anystyle.testing.subject import Subject
-from anystyle.types import Cameras, Views
+from anystyle.types import Cameras, Geometry, Views
 from anystyle.types.shapes import check_value
 
 
@@ -46,6 +48,38 @@ def test_reading_twice_is_the_same(plugin: Subject[SceneSource]) -> None:
     plugin.instance.read(len(plugin.instance) - 1, [0])
     for what, source in asserts.copies(plugin):
         asserts.same(source.read(0, selected), first, f"scene 0 read again from {what}")
+
+
+def test_views_agree(plugin: Subject[SceneSource]) -> None:
+    """Where cameras and depth are known, what a view shows is seen in the next one where they say, as far away."""
+    views = plugin.instance.read(0, _selected(plugin.instance, 0)[:2])
+    if views.cameras is None or views.depth is None or views.images.shape[1] < 2:
+        return
+    still = (views.images[0, 1] - views.images[0, 0]).abs().mean(0).median()
+    color, depth = _disagreement(views, views.depth)
+    places = "are poses world_from_camera, in OpenCV axes and the unit of the depth, and intrinsics in pixels?"
+    assert depth < 0.05, f"depth differs by {depth:.1%} from that of the next view; {places}"
+    worse = (
+        f"colours of the next view differ by {color:.3f} where the cameras say, and by {still:.3f} at the same pixel"
+    )
+    assert color <= max(0.5 * float(still), 0.02), f"{worse}; {places}"
+    unit = Geometry(views.cameras, torch.ones_like(views.depth), views.depth).points()
+    rays = (unit - views.cameras.world_from_camera[..., None, None, :3, 3]).norm(dim=-1)
+    along_z = _disagreement(views, views.depth / rays)[1]
+    assert depth < max(0.005, 2 * along_z), "depth agrees better as distance along the ray; give distance along z"
+
+
+def _disagreement(views: Views, depth: Tensor) -> tuple[float, float]:
+    """Medians of how far colours, and depths relative to each other, of the first view are from those of the second."""
+    cameras = views.cameras
+    assert cameras is not None
+    lenses, poses = cameras.intrinsics, cameras.world_from_camera
+    moved = reproject(depth[:, 0], lenses[:, 0], lenses[:, 1], cameras.camera_from_world[:, 1] @ poses[:, 0])
+    seen = sample_at(torch.cat([views.images, depth[:, :, None]], dim=2)[:, 1], moved.displacement)
+    known = moved.inside & (seen[:, 3] > 0)
+    assert float(known.float().mean()) > 0.05, "hardly anything of a view is seen in the next one, by cameras and depth"
+    color = (seen[:, :3] - views.images[:, 0]).abs().mean(1)[known].median()
+    return float(color), float((moved.depth / seen[:, 3] - 1).abs()[known].median())
 
 
 def _selected(source: SceneSource, scene: int) -> list[int]:

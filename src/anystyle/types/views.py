@@ -12,6 +12,9 @@ from torch import Tensor
 
 from anystyle.types.shapes import Given
 
+SHOWN = 0.75
+"""A smaller share of a photograph in its view is told of."""
+
 
 @dataclass(frozen=True)
 class Cameras(Given):
@@ -129,6 +132,23 @@ class SourceImage:
     path: Path | None = None  # where the source is an image file
     straightened: Callable[[Image.Image], Image.Image] | None = None
     """Undistorts an upright picture of the source, at any resolution, where the source was undistorted."""
+
+    @classmethod
+    def covering(
+        cls, name: str, source: tuple[int, int], size: tuple[int, int], *, whole: bool = False
+    ) -> "SourceImage":
+        """What a view of ``size`` shows of a source, both height and width: its middle, as large as fits.
+
+        If that were less than :data:`SHOWN` of it, and it is to be ``whole``, all of it in the middle of the view.
+        """
+        scale, other = sorted((source[1] / size[1], source[0] / size[0]))
+        if whole and scale < SHOWN * other:
+            (height, width), (tall, wide) = size, (round(source[0] / other), round(source[1] / other))
+            left, top, x, y = (width - wide) // 2, (height - tall) // 2, source[1] / wide, source[0] / tall
+            return cls(name, source, (-left * x, -top * y, (width - left) * x, (height - top) * y), size)
+        width, height = scale * size[1], scale * size[0]
+        left, top = (source[1] - width) / 2, (source[0] - height) / 2
+        return cls(name, source, (left, top, left + width, top + height), size)
 
     def of_view(self, picture: Image.Image) -> Image.Image:
         """What the view shows of an upright picture of the source, such as a mask, at any resolution."""

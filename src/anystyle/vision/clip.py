@@ -78,7 +78,7 @@ class Vision(nn.Module):
 
 
 class Clip(nn.Module):
-    """Both towers, with the options of :class:`anystyle.style_encoders.long_clip.LongClip`."""
+    """Both towers."""
 
     def __init__(
         self,

@@ -16,8 +16,7 @@ from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.anysplat.adapter import Adapter
-from anystyle_backbones.anysplat.heads import CameraHead, GaussianHead
-from anystyle_backbones.anysplat.transformer import Aggregator, DinoV2, Embedder, Patches
+from anystyle_backbones.anysplat.networks import Aggregator, CameraHead, DinoV2, Embedder, GaussianHead, Patches
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.heads import GeometryHead, check_options
 from anystyle_backbones.reference_view import Strategy

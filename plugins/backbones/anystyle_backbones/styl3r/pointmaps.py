@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.geometry.alignment import resect
 from anystyle.geometry.warp import pixels
 from anystyle.types import Cameras
+from anystyle_backbones.alignment import resect
 from anystyle_backbones.heads import centred_cameras
 
 MOST_POINTS = 4096

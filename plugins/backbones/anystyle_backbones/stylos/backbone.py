@@ -11,7 +11,7 @@ from anystyle.contracts import StylePredictor
 from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones.anysplat.backbone import AnySplat
-from anystyle_backbones.anysplat.transformer import Aggregator
+from anystyle_backbones.anysplat.networks import Aggregator
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.stylos.heads import GaussianHead, StylosBranch
 from anystyle_backbones.stylos.transformer import Order, StemAggregator, StyleAggregator

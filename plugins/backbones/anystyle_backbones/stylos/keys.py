@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from anystyle.contracts import Published
 from anystyle.errors import UserError
 from anystyle_backbones.anysplat import keys as anysplat
-from anystyle_backbones.anysplat.transformer import DinoV2
+from anystyle_backbones.anysplat.networks import DinoV2
 from anystyle_backbones.published import checked_parts, count, dpt_rules, first_names, load_renamed, renamed
 
 _log = logging.getLogger(__name__)

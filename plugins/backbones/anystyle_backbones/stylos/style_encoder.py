@@ -12,7 +12,7 @@ from anystyle.nn.attention import Block
 from anystyle.nn.tokens import grid_of, normalised
 from anystyle.types import Tokens
 from anystyle.vision.preprocess import middle_square, resized
-from anystyle_backbones.anysplat.transformer import DinoV2
+from anystyle_backbones.anysplat.networks import DinoV2
 from anystyle_backbones.style_images import StyleImages
 from anystyle_backbones.stylos.keys import StylosCheckpoints
 

@@ -13,7 +13,7 @@ from torch.utils.checkpoint import checkpoint
 from anystyle.nn.attention import Attention, LayerScale, Mlp
 from anystyle.nn.tokens import Rotary, grid_positions, rotary, rotate
 from anystyle.types import Features, Inject, Tokens, untouched
-from anystyle_backbones.anysplat.transformer import Aggregator
+from anystyle_backbones.anysplat.networks import Aggregator
 
 STEM = -1
 """The key of the stem among the features, ahead of all layers'."""

@@ -63,7 +63,7 @@ def test_other_seeds_and_files_give_other_networks(tmp_path: Path) -> None:
 
 
 def test_the_text_adapter_comes_from_the_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from anystyle.style_encoders.long_clip import LongClip
+    from anystyle_backbones.long_clip import LongClip
 
     torch.manual_seed(0)
     small = {**LongClip.example(tmp_path), "dim": 512}

@@ -10,8 +10,7 @@ from anystyle.testing.oracle import assert_matches, hashed
 from anystyle.types import Inject, Tokens
 from anystyle_backbones import dpt
 from anystyle_backbones.anysplat import keys
-from anystyle_backbones.anysplat.heads import GaussianHead
-from anystyle_backbones.anysplat.transformer import Aggregator, Embedder, Patches
+from anystyle_backbones.anysplat.networks import Aggregator, Embedder, GaussianHead, Patches
 from tests.support import anysplat_reference as reference
 from tests.support.oracle import golden
 

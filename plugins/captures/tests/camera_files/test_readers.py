@@ -15,6 +15,18 @@ from anystyle_captures.camera_files.realityscan import world_from_camera
 
 SIZE = (48, 64)
 LENS = Lens(SIZE, (50.0, 50.0), (33.0, 23.5), (-0.1, 0.02, -0.003, 0.001), (0.004, -0.002))
+XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
+  <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+    <rdf:Description xcr:Version="3" xcr:PosePrior="initial" xcr:Coordinates="absolute" xcr:DistortionModel="{model}"
+       xcr:FocalLength35mm="{focal!r}" xcr:Skew="0" xcr:AspectRatio="1" xcr:PrincipalPointU="{u!r}"
+       xcr:PrincipalPointV="{v!r}" xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#">
+      <xcr:Rotation>{rotation}</xcr:Rotation>
+      <xcr:Position>{position}</xcr:Position>
+      <xcr:DistortionCoeficients>{terms}</xcr:DistortionCoeficients>
+    </rdf:Description>
+  </rdf:RDF>
+</x:xmpmeta>
+"""
 WIDE = Lens(SIZE, (30.0, 30.0), (32.0, 24.0), (0.02, -0.01, 0.0, 0.0), fisheye=True)
 
 
@@ -27,7 +39,11 @@ def table(folder, images, lens):
 
 
 def sidecars(folder, images, lens):
-    samples.write_realityscan_sidecars(images, samples.poses(), lens)
+    focal, u, v, terms = samples.on_film(lens)
+    for image, pose in zip(images, samples.poses(), strict=True):
+        rotation, position = samples.words(pose[:3, :3].T.ravel()), samples.words(pose[:3, 3])
+        fields = {"rotation": rotation, "position": position, "terms": samples.words(terms)}
+        image.with_suffix(".xmp").write_text(XMP.format(model="brown4t2", focal=focal, u=u, v=v, **fields))
 
 
 def transforms(folder, images, lens):

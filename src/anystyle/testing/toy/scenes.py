@@ -9,13 +9,13 @@ from anystyle.types import Cameras, Views
 
 
 class ToyScenes(SceneSource):
-    """Flat walls at distance 2 with a coloured wave on them, seen by a camera that moves sideways.
+    """Flat walls at an angle with a coloured wave on them, seen by a camera that moves right, down and ahead.
 
     Args:
         num_scenes: How many walls.
         views: Views a wall.
         size: Height and width in pixels.
-        step: How far the camera moves from view to view.
+        step: How far the camera moves to the right from view to view.
     """
 
     def __init__(
@@ -36,14 +36,17 @@ class ToyScenes(SceneSource):
         (height, width), number = self.size, len(views)
         focal = float(max(self.size))
         poses = torch.eye(4).repeat(number, 1, 1)
-        poses[:, 0, 3] = self.step * torch.tensor(list(views))
+        poses[:, :3, 3] = self.step * torch.tensor(list(views))[:, None] * torch.tensor([1.0, 0.5, 0.25])
         intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-        x = 2 * (torch.arange(width) + 0.5 - width / 2) / focal + poses[:, 0, 3:]  # V W, on the wall
-        y = 2 * (torch.arange(height) + 0.5 - height / 2) / focal  # H
+        u = ((torch.arange(width) + 0.5 - width / 2) / focal).expand(height, width)  # a point at depth 1 on each ray
+        v = ((torch.arange(height) + 0.5 - height / 2) / focal)[:, None]
+        right, down, ahead = poses[:, :3, 3, None, None].unbind(1)
+        depth = (2 + right / 2 - ahead) / (1 - u / 2)  # V H W, to the wall z = 2 + x / 2
+        x, y = right + depth * u, down + depth * v
         frequency = 1 + torch.rand(3, 1, 1, generator=torch.Generator().manual_seed(scene)) * 4
         return Views(
-            images=(0.5 + 0.5 * torch.sin(frequency * (x[:, None, None, :] + y[:, None])))[None],
+            images=(0.5 + 0.5 * torch.sin(frequency * (x + y)[:, None]))[None],
             cameras=Cameras(poses[None], intrinsics.repeat(1, number, 1, 1), self.size),
-            depth=torch.full((1, number, height, width), 2.0),
+            depth=depth[None],
             names=tuple(f"{view:03d}" for view in views),
         )

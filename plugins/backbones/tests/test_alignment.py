@@ -3,7 +3,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from anystyle.geometry.alignment import MatchedPoints, align, kabsch
+from anystyle_backbones.alignment import MatchedPoints, align, kabsch
 
 
 def matched(count=200, views=3, outliers=0.0, depth_noise=0.0, seed=0):

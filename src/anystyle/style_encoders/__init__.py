@@ -1,1 +1,0 @@
-"""Style encoders: images and texts in one space."""
