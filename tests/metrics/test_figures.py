@@ -22,10 +22,9 @@ from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
-from anystyle.types import Cameras, Comparison, Style
+from anystyle.types import Comparison, Style
 from anystyle.vision import feature_cache
 from anystyle_metrics.optical_flow.raft import Raft
-from anystyle_tiny.depth_agreement import DepthAgreement
 
 
 def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:
@@ -125,20 +124,6 @@ def test_directions_and_similarities_are_cosines():
     wanted = encoder.embed_images(given.style.image) - encoder.embed_texts([encoder.neutral])
     expected = torch.nn.functional.cosine_similarity(after - before, wanted).mean()
     assert figure(ClipDirection(style_encoder=encoder, size=None), given) == pytest.approx(float(expected), abs=1e-5)
-
-
-def test_a_wall_agrees_with_itself_and_one_that_moved_does_not():
-    eye = torch.eye(4).repeat(1, 2, 1, 1)
-    eye[:, 1, 0, 3] = 0.1
-    intrinsics = torch.tensor([[60.0, 0, 20], [0, 60.0, 20], [0, 0, 1]]).expand(1, 2, 3, 3)
-    images = torch.rand(1, 2, 3, 40, 40, generator=torch.Generator().manual_seed(0))
-    for second, expected in ((4.0, 1.0), (4.1, 1.0), (5.0, 0.0)):
-        depth = torch.full((1, 2, 40, 40), 4.0)
-        depth[:, 1] = second
-        given = Comparison(images, images, cameras=Cameras(eye, intrinsics, (40, 40)), depth=depth)
-        assert figure(DepthAgreement(tolerance=0.05), given) == expected
-    with pytest.warns(UserWarning, match="no two views with depth and cameras"):
-        assert np.isnan(figure(DepthAgreement(), Comparison(images, images)))
 
 
 def test_stand_ins_are_named_by_figure():

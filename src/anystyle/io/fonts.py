@@ -6,7 +6,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from PIL import ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 _log = logging.getLogger(__name__)
 
@@ -45,7 +45,13 @@ def _fonts(size: int) -> list[Font]:
 @cache
 def _has(font: Font, letter: str) -> bool:
     """Whether a font draws a letter otherwise than one that no font has."""
-    return bytes(font.getmask(letter)) != bytes(font.getmask("\U0010ffff"))
+    return _drawn(font, letter) != _drawn(font, "\U0010ffff")
+
+
+def _drawn(font: Font, letter: str) -> bytes:
+    image = Image.new("L", (32, 32))
+    ImageDraw.Draw(image).text((8, 4), letter, fill=255, font=font)
+    return image.tobytes()
 
 
 @cache

@@ -16,18 +16,6 @@ from anystyle_captures.camera_files.lens import Lens
 
 Poses = Sequence[Float64[np.ndarray, "4 4"]]
 
-_XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
-  <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
-    <rdf:Description xcr:Version="3" xcr:PosePrior="initial" xcr:Coordinates="absolute" xcr:DistortionModel="{model}"
-       xcr:FocalLength35mm="{focal!r}" xcr:Skew="0" xcr:AspectRatio="1" xcr:PrincipalPointU="{u!r}"
-       xcr:PrincipalPointV="{v!r}" xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#">
-      <xcr:Rotation>{rotation}</xcr:Rotation>
-      <xcr:Position>{position}</xcr:Position>
-      <xcr:DistortionCoeficients>{terms}</xcr:DistortionCoeficients>
-    </rdf:Description>
-  </rdf:RDF>
-</x:xmpmeta>
-"""
 _METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
 <document version="2.0.0">
   <chunk label="Chunk 1" enabled="true">
@@ -69,7 +57,8 @@ def pinhole(size: tuple[int, int] = (48, 64)) -> Lens:
     return Lens(size, (50.0, 50.0), (size[1] / 2 + 0.5, size[0] / 2 - 0.25))
 
 
-def _words(values: Sequence[float] | np.ndarray) -> str:
+def words(values: Sequence[float] | np.ndarray) -> str:
+    """Numbers in full, separated by spaces."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -88,14 +77,14 @@ def write_metashape(
         matrix = np.linalg.inv(world) @ pose
         matrix[:3, :3] *= scale
         cameras += f'      <camera id="{number}" sensor_id="0" component_id="0" label="{image.stem}">'
-        cameras += f"<transform>{_words(matrix.ravel())}</transform></camera>\n"
+        cameras += f"<transform>{words(matrix.ravel())}</transform></camera>\n"
     fields = {"kind": "fisheye" if lens.fisheye else "frame", "width": width, "height": height, "cameras": cameras}
     fields["terms"] = "".join(f"<{name}>{value!r}</{name}>" for name, value in values.items() if value)
-    rotation, translation = _words(world[:3, :3].ravel() / scale), _words(world[:3, 3])
+    rotation, translation = words(world[:3, :3].ravel() / scale), words(world[:3, 3])
     path.write_text(_METASHAPE.format(rotation=rotation, translation=translation, scale=scale, **fields))
 
 
-def _on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
+def on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
     """Focal length in millimetres of a film 36 mm wide, principal point, and the terms in RealityScan's order."""
     (height, width), longer = lens.size, max(lens.size)
     u, v = (lens.center[0] - width / 2) / longer, (lens.center[1] - height / 2) / longer
@@ -105,7 +94,7 @@ def _on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
 
 def write_realityscan_table(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
     """The table of internal and external camera parameters."""
-    focal, u, v, terms = _on_film(lens)
+    focal, u, v, terms = on_film(lens)
     rows = ["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"]
     for image, pose in zip(images, world_from_camera, strict=True):
         # Rows of the published matrix: (-cos p sin y, -cos p cos y, -sin p) is where the image's rows lead.
@@ -115,15 +104,6 @@ def write_realityscan_table(path: Path, images: Sequence[Path], world_from_camer
         values = [*pose[:3, 3], *np.rad2deg([yaw, pitch, roll]), focal, u, v, *terms]
         rows.append(",".join([image.name, *(repr(float(value)) for value in values)]))
     path.write_text("\n".join(rows) + "\n")
-
-
-def write_realityscan_sidecars(images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
-    """An XMP file beside each photograph."""
-    focal, u, v, terms = _on_film(lens)
-    for image, pose in zip(images, world_from_camera, strict=True):
-        rotation, position = _words(pose[:3, :3].T.ravel()), _words(pose[:3, 3])
-        fields = {"rotation": rotation, "position": position, "terms": _words(terms)}
-        image.with_suffix(".xmp").write_text(_XMP.format(model="brown4t2", focal=focal, u=u, v=v, **fields))
 
 
 def write_polycam(folder: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
