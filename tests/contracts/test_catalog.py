@@ -16,6 +16,7 @@ from anystyle.testing.composition import Composition
 from anystyle.testing.run import promises, promises_in
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.injector import ToyInjector
+from tests.contracts.mutants import NeedsCameras
 
 PAIRS = list(product(catalog().names("placement"), catalog().names("injector")))
 SMOKE = [("color", "zero_conv"), ("full", "zero_conv"), ("head", "zero_conv")]
@@ -68,6 +69,10 @@ def test_composition(names, promise):
 @pytest.mark.parametrize("kind", kinds())
 def test_smallest_plugin_keeps_its_contract(kind):
     assert_contract(kind, toy(kind))
+
+
+def test_a_backbone_may_need_cameras():
+    assert_contract("backbone", NeedsCameras)
 
 
 @pytest.mark.parametrize("kind", kinds())
