@@ -14,8 +14,6 @@ from anystyle.registry.catalog import catalog
 if TYPE_CHECKING:
     from anystyle.metrics.art_fid import ArtFID as ArtFID
     from anystyle.metrics.art_score import ArtScore as ArtScore
-    from anystyle.metrics.clip import ClipDirection as ClipDirection
-    from anystyle.metrics.clip import ClipStyle as ClipStyle
     from anystyle.metrics.color_match import ColorMatch as ColorMatch
     from anystyle.metrics.kid import KID as KID
     from anystyle.metrics.lpips import LPIPS as LPIPS
