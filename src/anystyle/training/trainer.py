@@ -11,7 +11,7 @@ import lightning.pytorch as pl
 import numpy as np
 from lightning.fabric.plugins.environments.slurm import SLURMEnvironment
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import LearningRateMonitor
+from lightning.pytorch.callbacks import DeviceStatsMonitor, LearningRateMonitor
 from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
@@ -21,6 +21,7 @@ from anystyle.ranges import AtLeastOne, Count, NonNegative, Positive, Range
 from anystyle.registry.schema import check, option
 from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput, StepTimer
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
+from anystyle.training.watching import EarlyStop
 
 
 def _or_none(hint: Any) -> Any:
@@ -33,6 +34,8 @@ RANGES: Mapping[str, Any] = {
     "validation_steps": Count,
     "checkpoint.every_steps": AtLeastOne,
     "checkpoint.every_minutes": Positive,
+    "checkpoint.best": _or_none(Annotated[str, Range(description="a logged value such as val/loss, or null")]),
+    "checkpoint.mode": Literal["min", "max"],
     "average": _or_none(Annotated[float, Range(gt=0, lt=1, description="a decay such as 0.999, or null")]),
     "explosion": _or_none(
         Annotated[float, Range(gt=1, description="a factor such as 1000, or null to let losses grow")]
@@ -87,6 +90,7 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     common: list[pl.Callback] = [
         StepSeed(config.seed),
         FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
+        *make_callbacks(config.get("callbacks") or {}),
         LearningRateMonitor(),
         StepThroughput(lambda batch: getattr(batch, "num_images", 1), window_size=20),
         *([SkipOutliers()] if config.skip_outliers else []),
@@ -114,6 +118,23 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     except (MisconfigurationException, ValueError) as error:
         remedy = "" if options.get("accelerator") == "cpu" else "; trainer=cpu does without a graphics card"
         raise UserError(f"trainer: {one_line(error).rstrip('.!')}{remedy}") from None
+
+
+CALLBACKS = {"early_stopping": EarlyStop, "device_stats_monitor": DeviceStatsMonitor}
+"""Lightning's callbacks by the names that ``conf/callbacks`` has, too."""
+
+
+def make_callbacks(given: Mapping[str, Any]) -> list[pl.Callback]:
+    """The callbacks of a configuration: the options of each by its name, a key of :data:`CALLBACKS`."""
+    made: list[pl.Callback] = []
+    for name, options in given.items():
+        if name not in CALLBACKS:
+            raise UserError(f"callbacks: {unknown('callback', name, CALLBACKS)}")
+        try:
+            made.append(CALLBACKS[name](**(options or {})))
+        except (TypeError, MisconfigurationException) as error:
+            raise UserError(f"callbacks.{name}: {one_line(error)}; its options are those of lightning's") from None
+    return made
 
 
 PixelArray = NDArray[np.uint8]
