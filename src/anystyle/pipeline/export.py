@@ -60,6 +60,8 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
             path,
             " ".join(f"{each:.17g}" for each in turned.offset),
         )
+    if scene.antialiased and not writer.has_antialiasing:
+        _log.warning("%s: the format cannot say that the scene was trained with antialiasing", path)
     writer.write(turned, path)
     if not writer.has_notes:
         beside = path.with_suffix(path.suffix + ".txt")

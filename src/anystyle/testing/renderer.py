@@ -97,6 +97,15 @@ def test_long_gaussians_are_turned(plugin: Subject[Renderer]) -> None:
     assert 0.5 < seen / expected < 2, told
 
 
+def test_antialiased_gaussians_are_fainter(plugin: Subject[Renderer]) -> None:
+    """Antialiased Gaussians lose what a pixel's filter adds: much thinner than a pixel, nearly all; wide ones, none."""
+    for size, low, high in ((0.002, 0.0, 0.1), (2.0, 0.99, 1.0)):
+        scene = _single(torch.zeros(3), size=size)
+        before, after = (_render(plugin, scene.marked(mode), cameras(1, 1, (33, 33))) for mode in (False, True))
+        share = float(after.alpha.sum() / before.alpha.sum())
+        assert low <= share <= high, f"{share:.3f} of alpha is left of an antialiased Gaussian of size {size:g}"
+
+
 def test_near_hides_far(plugin: Subject[Renderer]) -> None:
     """An opaque Gaussian hides what is behind it, and shows its own colour."""
     front, back = (_single(torch.tensor([0.0, 0.0, z]), size=1.0, color=c) for z, c in ((-1.0, RED), (1.0, GREEN)))
