@@ -48,6 +48,13 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
     assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc"))]
 
 
+def test_packages_of_plugins_can_be_imported_before_anystyle(environment, tmp_path):
+    names = sorted(path.parent.name for path in ROOT.glob("plugins/*/anystyle_*/__init__.py"))
+    code = "import sys, importlib.util as u; print(*(name for name in sys.argv[1:] if not u.find_spec(name)))"
+    run = subprocess.run([environment, "-c", code, *names], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert len(names) > 10 and (run.stdout, run.stderr) == ("\n", "")
+
+
 @pytest.mark.slow
 def test_it_stylizes_from_another_folder(environment, tmp_path):
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "ANYSTYLE"))}

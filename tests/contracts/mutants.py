@@ -279,6 +279,32 @@ def by_columns(geometry):
     return replace(geometry, depth=patches.movedim(3, 4).flatten(4, 5).flatten(2, 3))
 
 
+class Given(ToyGeometryHead):
+    reads_cameras = True
+
+    def forward(self, features, images, cameras):
+        return replace(super().forward(features, images), cameras=cameras)
+
+
+class NeedsCameras(ToyBackbone):
+    """Its scenes have the cameras of their views."""
+
+    needs_cameras = True
+    head = Given
+
+    def __init__(self):
+        super().__init__(dim=12, depth=2)
+        self.geometry_head = self.head(dim=12, patch_size=8)
+
+    @classmethod
+    def example(cls, folder):
+        return {}
+
+
+class Inverting(NeedsCameras):
+    head = changed(Given, "forward", posed(inverted))
+
+
 class AlongRay(ToyRenderer):
     def __call__(self, gaussians, cameras):
         return scale("depth", along_ray(cameras))(super().__call__(gaussians, cameras))
@@ -328,6 +354,7 @@ MUTANTS = {
         (backbone("adapter", changed(ToyAdapter, "forward", scale("opacities", 2.5))), "gaussians_are_renderable"),
         (backbone("adapter", changed(ToyAdapter, "forward", lambda g: g.detach())), "attributes_carry_gradients"),
         (backbone("embedder", lambda: CameraLast(dim=12, patch_size=4)), "patches_keep_their_places"),
+        (Inverting, "needed_cameras_are_those_of_the_scene"),
         (geometry(by_columns), "patches_keep_their_places"),
         *((geometry(posed(change)), "cameras_are_rigid_pinholes") for change in (in_fractions, of_a_square)),
         *(
@@ -354,7 +381,7 @@ MUTANTS = {
         (Summed, "a_batch_has_a_mean"),
     ],
     "metric": [
-        (changed(ToyMetric, "compute", lambda f: {"change": f["change"].nan_to_num(0)}), "too_little_is_not_an_error"),
+        (changed(ToyMetric, "compute", lambda figure: figure.nan_to_num(0)), "too_little_is_not_an_error"),
         (
             given(ToyMetric, "update", lambda c: replace(c, stylized=c.stylized.clamp_(0.2, 0.8))),
             "inputs_are_left_alone",

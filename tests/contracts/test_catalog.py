@@ -16,6 +16,7 @@ from anystyle.testing.composition import Composition
 from anystyle.testing.run import promises, promises_in
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.injector import ToyInjector
+from tests.contracts.mutants import NeedsCameras
 
 PAIRS = list(product(catalog().names("placement"), catalog().names("injector")))
 SMOKE = [("color", "zero_conv"), ("full", "zero_conv"), ("head", "zero_conv")]
@@ -70,9 +71,13 @@ def test_smallest_plugin_keeps_its_contract(kind):
     assert_contract(kind, toy(kind))
 
 
+def test_a_backbone_may_need_cameras():
+    assert_contract("backbone", NeedsCameras)
+
+
 @pytest.mark.parametrize("kind", kinds())
 def test_every_promise_is_described(kind):
-    assert all((promise.__doc__ or "").endswith(".") for promise in promises(kind))
+    assert all((promise.__doc__ or "").strip().endswith(".") for promise in promises(kind))
 
 
 def test_a_broken_promise_says_what_is_wrong():

@@ -295,3 +295,13 @@ def test_photographs_that_are_not_developed_are_named(tmp_path, caplog):
     save(tmp_path / "a.jpg")
     assert read(tmp_path)[0].images.shape[1] == 1
     assert "1 photographs in" in caplog.text and "(CR3)" in caplog.text
+
+
+def test_panoramas_are_no_photographs(tmp_path, caplog):
+    xmp = b'<rdf:Description xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" GPano:ProjectionType="%s"/>'
+    for name, kind in (("sphere", b"equirectangular"), ("phone", b"cylindrical"), ("plain", b"perspective")):
+        Image.linear_gradient("L").resize((64, 32)).save(tmp_path / f"{name}.jpg", xmp=xmp % kind)
+    views, _ = read_views([tmp_path], short_side=28, multiple=14, max_views=4)
+    assert views.names == ("plain",)
+    assert "sphere.jpg is a panorama (equirectangular)" in caplog.text
+    assert "phone.jpg is a panorama (cylindrical)" in caplog.text

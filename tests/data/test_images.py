@@ -116,6 +116,16 @@ def test_only_formats_that_are_meant_are_decoded(tmp_path, monkeypatch):
             read(drawing)
 
 
+def test_a_photograph_of_200_megapixels_is_decoded_reduced(tmp_path):
+    left = Image.new("L", (16320, 12240), 40)
+    left.paste(200, (8160, 0, 16320, 12240))
+    left.save(path := tmp_path / "phone.jpg", quality=50)
+    assert image_size(path) == (16320, 12240)
+    seen = open_image(path, longest=1024)
+    assert seen.size == (2040, 1530)
+    np.testing.assert_allclose(np.asarray(seen)[700, [500, 1500]], [[40] * 3, [200] * 3], atol=2)
+
+
 def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
     side = int(MAX_PIXELS**0.5) + 1000
     Image.new("1", (side, side)).save(tmp_path / "bomb.png")

@@ -4,7 +4,9 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import nn
 
-from anystyle.io.checkpoint import FORMAT, Header, load_part, load_strictly, read_header, save_part
+from anystyle.io.checkpoint import FORMAT, SCALES, Header, dequantized, load_part, load_strictly, read_header, save_part
+from anystyle.vision import weights
+from tests.support import quantize
 
 
 def network(width=4):
@@ -46,6 +48,34 @@ def test_half_precision_halves_the_file_and_keeps_integers(tmp_path):
     load_part(tmp_path / "half.safetensors", other, "branch")
     assert other[0].weight.dtype == torch.float32
     torch.testing.assert_close(other[0].weight, network()[0].weight, rtol=1e-3, atol=1e-4)
+
+
+def test_eight_bits_are_half_a_step_from_what_they_store(tmp_path, monkeypatch):
+    monkeypatch.setattr(quantize, "SMALL", 0)
+    stored, packed = network(200), tmp_path / "packed.safetensors"
+    save_part(tmp_path / "half.safetensors", stored, Header("branch"), half=True)
+    quantize.main(str(tmp_path / "half.safetensors"), str(packed))
+    other = network(200)
+    nn.init.zeros_(other[0].weight)
+    assert load_part(packed, other, "branch") == Header("branch")
+    error, step = (other[0].weight - stored[0].weight).detach().abs(), stored[0].weight.detach().abs().amax(1) / 127
+    assert 0 < error.mean() < 0.3 * step.mean() and bool((error.square().sum(1) < step.square()).all())
+    assert torch.equal(other[0].bias, stored[0].bias.half())
+    assert torch.equal(weights.read(packed)["0.weight"], other[0].weight)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"a" + SCALES: None}, "a is in 8 bits and needs a:scales, one number for each of its rows"),
+        ({"a" + SCALES: torch.ones(3)}, "a is in 8 bits and needs a:scales"),
+        ({"b" + SCALES: torch.ones(2)}, "b:scales belongs to no tensor in 8 bits"),
+    ],
+)
+def test_eight_bits_come_with_a_scale_for_each_row(change, said):
+    stored = {"a": torch.ones(2, 4, dtype=torch.int8), "a" + SCALES: torch.ones(2), "b": torch.ones(2)} | change
+    with pytest.raises(ValueError, match=f"^FILE: {said}"):
+        dequantized({key: tensor for key, tensor in stored.items() if tensor is not None}, source="FILE")
 
 
 def test_differences_are_named_up_to_five_of_a_kind():

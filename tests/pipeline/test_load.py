@@ -1,10 +1,13 @@
 """The library's front door."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 import anystyle
 from anystyle.contracts import Placement
+from anystyle.errors import UserError
 from anystyle.io.checkpoint import read_header, save_part
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.load import branch_header, load_model
@@ -12,7 +15,10 @@ from anystyle.pipeline.request import Request
 from anystyle.registry.catalog import PluginError
 from anystyle.registry.compose import compose
 from anystyle.testing.toy.injector import ToyInjector
+from anystyle.testing.toy.scenes import ToyScenes
+from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.types import Site, Views
+from tests.contracts.mutants import NeedsCameras
 
 UNTRAINED = ["weights.backbone=null", "weights.style_encoder=null", "weights.branch=null"]
 
@@ -116,3 +122,15 @@ def test_a_backbone_says_whether_its_cameras_are_taken(words, poses):
     assert load_model(Request(overrides=words)).poses == poses
     in_memory = load_model(Request(overrides=words), stylizer=anystyle.load("tiny", [*UNTRAINED]))
     assert in_memory.poses == "predicted" and type(in_memory.method) is Branch
+
+
+def test_a_backbone_that_needs_cameras_is_given_them():
+    views, stylizer = ToyScenes(num_scenes=1, size=(16, 24)).read(0, [0, 1]), ToyStylizer()
+    stylizer.backbone = NeedsCameras().freeze()
+    stylizer.eval()
+    (done,) = anystyle.stylize(views, "deep blue", model=stylizer)
+    torch.testing.assert_close(done.cameras.intrinsics, views.cameras.intrinsics)
+    with pytest.raises(UserError, match=r"\Athis source knows no cameras of its scenes"):
+        anystyle.stylize(replace(views, cameras=None), "deep blue", model=stylizer)
+    with pytest.raises(UserError, match=r"\ANeedsCameras needs the cameras of its views, which have none; poses=known"):
+        anystyle.stylize(views, "deep blue", model=stylizer, poses=anystyle.PoseOptions("predicted"))

@@ -3,6 +3,7 @@
 Each file's ``_about`` states the rule in words; see :mod:`anystyle.testing.oracle`.
 """
 
+import gzip
 import json
 import math
 import re
@@ -20,7 +21,7 @@ GOLDENS = Path(__file__).parents[1] / "goldens"
 
 def golden(name: str) -> dict[str, Any]:
     """One file of ``tests/goldens``."""
-    return json.loads((GOLDENS / f"{name}.json").read_text())
+    return json.loads(gzip.decompress((GOLDENS / f"{name}.json.gz").read_bytes()))
 
 
 def image(text: str) -> Tensor:

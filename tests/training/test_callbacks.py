@@ -2,6 +2,9 @@
 
 import os
 import signal
+import time
+import warnings
+from datetime import timedelta
 from unittest.mock import Mock
 
 import lightning.pytorch as pl
@@ -10,7 +13,7 @@ import pytest
 import torch
 from torch import nn
 
-from anystyle.training.callbacks import STOPS, MovingAverage, RunCheckpoint, StepSeed, requeue
+from anystyle.training.callbacks import STOPS, MovingAverage, RunCheckpoint, StepSeed, StepTimer, requeue
 from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
 from anystyle.training.safeguards import SkipOutliers
 
@@ -24,10 +27,10 @@ class Module(pl.LightningModule):
         self.bias = nn.Parameter(torch.zeros(1), requires_grad=False)
 
 
-def at(step: int = 0, rank: int = 0) -> pl.Trainer:
+def at(step: int = 0, rank: int = 0, accumulated: int = 1) -> pl.Trainer:
     """The little of a trainer that callbacks look at."""
     trainer = Mock(spec=pl.Trainer)
-    trainer.global_step, trainer.global_rank = step, rank
+    trainer.global_step, trainer.global_rank, trainer.accumulate_grad_batches = step, rank, accumulated
     return trainer
 
 
@@ -46,12 +49,16 @@ def test_a_steps_randomness_depends_on_seed_and_step_alone():
     assert abs(series.mean() - 0.5) < 0.05
 
 
-def test_the_average_is_the_one_of_its_definition():
+@pytest.mark.parametrize("batches", [1, 4])
+def test_the_average_is_the_one_of_its_definition(batches):
     module = Module()
     average, expected, decay = MovingAverage(0.9), None, 0.9
     for step, value in enumerate([1.0, 3.0, -2.0, 5.0], start=1):
-        module.weight.data.fill_(value)
-        average.on_train_batch_end(at(step), module, None, None, 0)
+        for batch in range(batches):
+            is_last = batch == batches - 1
+            module.weight.data.fill_(value if is_last else 100.0)
+            trainer = at(step if is_last else step - 1, accumulated=batches)
+            average.on_train_batch_end(trainer, module, None, None, batches * (step - 1) + batch)
         share = min(decay, (1 + step) / (10 + step))
         expected = value if expected is None else share * expected + (1 - share) * value
     assert average.weights["weight"].item() == pytest.approx(expected)
@@ -119,23 +126,52 @@ def test_a_process_that_another_ones_signal_stops_saves_with_it_once(tmp_path):
     assert steps == [1] and trainer.should_stop and keeper.stopped_by == "SIGTERM"
 
 
-def test_losses_far_above_the_usual_hardly_count():
-    module = Module()
+@pytest.mark.parametrize("shares", [(1.0,), (0.9, 0.1), (0.0, 0.25, 0.75)])
+def test_steps_whose_loss_is_far_above_the_usual_hardly_count(shares):
+    """Whichever of the accumulated batches has the loss."""
+
+    def step(skip: SkipOutliers, number: int, loss: float) -> float:
+        module = Module()
+        module.weight.grad = torch.ones_like(module.weight)
+        for share in shares:
+            skip.on_before_backward(at(number), module, torch.tensor(share * loss))
+        skip.on_before_optimizer_step(at(number), module, torch.optim.SGD([module.weight]))
+        return module.weight.grad.item()
+
     skip = SkipOutliers(window=4, deviations=0.85, after=2)
     history = [1.0, 2.0, 3.0, 2.0]
-    for step, loss in enumerate(history):
-        skip.on_before_backward(at(step), module, torch.tensor(loss))
+    assert [step(skip, number, loss) for number, loss in enumerate(history)] == [1.0] * 4
     # Of the four that end with it: an own share in the mean and the deviation raises the limit.
     for loss, kept in ((2.65, 1.0), (3.2, 1e-10)):
         last = [*history[1:], loss]
         assert (loss > np.mean(last) + 0.85 * np.std(last)) == (kept < 1)
         fresh = SkipOutliers(window=4, deviations=0.85, after=2)
         fresh.load_state_dict(skip.state_dict())
-        module.weight.grad = torch.ones_like(module.weight)
-        fresh.on_before_backward(at(3), module, torch.tensor(loss))
-        fresh.on_after_backward(at(3), module)
-        assert module.weight.grad.item() == pytest.approx(kept)
-    assert skip.history == history
+        assert step(fresh, 3, loss) == pytest.approx(kept)
+    assert skip.history == pytest.approx(history)
+
+
+class Sleeping(Module):
+    """Its second batch takes longer than the run may."""
+
+    def training_step(self, batch: torch.Tensor, batch_idx: int) -> torch.Tensor:
+        self.last = batch_idx
+        time.sleep(0.2 * (batch_idx == 1))
+        return (self.weight * batch).sum()
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        return torch.optim.SGD([self.weight], lr=0.1)
+
+
+def test_a_time_limit_ends_a_run_after_a_whole_step(tmp_path):
+    trainer = pl.Trainer(
+        accelerator="cpu", accumulate_grad_batches=4, max_steps=3, max_epochs=-1,
+        callbacks=[StepTimer(timedelta(seconds=0.1)), RunCheckpoint(tmp_path / "last.ckpt")],
+        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+    )  # fmt: skip
+    with warnings.catch_warnings(action="ignore"):  # Lightning's advice on workers
+        trainer.fit(module := Sleeping(), torch.utils.data.DataLoader(torch.ones(12), batch_size=1))
+    assert trainer.global_step == 1 and module.last == 3 and (tmp_path / "last.ckpt").is_file()
 
 
 def test_the_schedule_is_the_published_one():

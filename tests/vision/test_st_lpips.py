@@ -14,11 +14,11 @@ from anystyle.data.images import to_tensor
 from anystyle.io.sheet import to_pil
 from anystyle.metrics.art_fid import ArtFID
 from anystyle.metrics.lpips import LPIPSGray
-from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.inputs import comparison
 from anystyle.testing.oracle import smooth_image
 from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.vision import lpips, weights
+from anystyle_metrics.warp_consistency import WarpConsistency
 from tests.support.oracle import golden
 
 BACKBONES = ("alex", "vgg")
@@ -100,8 +100,8 @@ def test_figures_bear_its_name():
     names = [["st_lpips"], ["st_lpips_gray"], ["warp_st_lpips_short", "warp_st_lpips_long"]]
     for metric, own in zip(metrics, names, strict=True):
         metric.update(comparison(2, 8 if len(own) == 2 else 2))
-        assert [name for name in metric.compute() if "lpips" in name] == own
-        assert metric.compute().keys() == metric.better.keys()
+        assert [name for name in metric.figures() if "lpips" in name] == own
+        assert metric.figures().keys() == metric.better.keys()
         assert all("st_lpips" in metric.stand_ins[name] for name in own)
     assert metrics[0].stand_ins["art_fid"] == "texture_moments, st_lpips"
     assert ArtFID(weights="stand_in").better == ArtFID.better

@@ -15,9 +15,9 @@ from torch.nn.utils.rnn import pad_sequence
 from anystyle.contracts import StyleEncoder
 from anystyle.errors import UserError
 from anystyle.vision import weights
-from anystyle.vision.clip import Clip, load_clip
 from anystyle.vision.preprocess import resized
 from anystyle_backbones import bpe
+from anystyle_backbones.clip import Clip, load_clip
 
 LOADED_SIDE = 256
 """Pixels of the square that style images are brought to first, as published."""

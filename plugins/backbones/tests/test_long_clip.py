@@ -12,8 +12,8 @@ from torch import Tensor
 from anystyle.contracts import neutral_embedding
 from anystyle.testing.oracle import assert_matches, hashed, smooth_image
 from anystyle.vision import weights
-from anystyle.vision.clip import STRETCHED, Clip, load_clip
 from anystyle_backbones import bpe
+from anystyle_backbones.clip import STRETCHED, Clip, load_clip
 from anystyle_backbones.long_clip import LongClip, TextAdapter, small_templates
 from tests.support.oracle import fill_sorted, golden
 

@@ -22,7 +22,7 @@ class Data(Command):
 
     def __call__(self, words: Sequence[str]) -> None:
         if subcommand("data", self.__doc__, SUBCOMMANDS, words):
-            check_command(parse(parser(), words[1:]))
+            check_command(words[1:])
 
 
 def parser() -> argparse.ArgumentParser:
@@ -40,8 +40,9 @@ def parser() -> argparse.ArgumentParser:
     return flags
 
 
-def check_command(arguments: argparse.Namespace) -> None:
+def check_command(words: Sequence[str]) -> None:
     """Run ``anystyle data check``."""
+    arguments = parse(parser(), words)
     root: Path = arguments.path
     if arguments.write is not None and arguments.against is None:
         raise UserError("--write FILE needs --against FOLDER, whose pictures it lists")
@@ -53,7 +54,7 @@ def check_command(arguments: argparse.Namespace) -> None:
     if arguments.against is not None:
         _overlap(root, arguments.against, arguments.write)
         if arguments.write is not None and report.layout == "wikiart":
-            report.use += f" styles.exclude=[{arguments.write}]"
+            report.use += " " + shlex.quote(f"styles.exclude=[{arguments.write}]")
     print(f"checked in {time.perf_counter() - start:.1f} s")
     if not report.images or (report.layout in ("scenes", "re10k") and not report.usable):
         raise UserError(f"{root} holds nothing that can be used")
@@ -63,7 +64,7 @@ def check_command(arguments: argparse.Namespace) -> None:
         write_json(root / INDEX, report.usable)
         print(f"index     {len(report.usable)} scenes in {root / INDEX}")
     elif report.unlisted:
-        print(f"next      {shlex.join(['anystyle', 'data', 'check', str(root), '--index'])}")
+        print(f"next      {shlex.join(['anystyle', 'data', 'check', *words, '--index'])}")
         return
     print(f"next      anystyle train experiment=paper_head {report.use}")
 

@@ -152,6 +152,7 @@ def test_scenes_at_any_depth_are_listed_once(tmp_path, capsys):
     for words in ("1 that can be used, of 2", "train_index.json is not there", "1 scenes are packed, such as"):
         assert words in told
     assert told.endswith(f"next      anystyle data check {tmp_path} --index\n")
+    assert say("--min-views", "3", "--headers").endswith(f"check {tmp_path} --min-views 3 --headers --index\n")
     told = say("--index")
     assert json.loads((tmp_path / "train_index.json").read_text()) == ["1K/" + "a" * 64]
     assert f"next      anystyle train experiment=paper_head scenes=dl3dv scenes.root={tmp_path}\n" in told

@@ -55,7 +55,12 @@ class Aggregator(nn.Module, ABC):
 
 
 class GeometryHead(nn.Module, ABC):
-    """Cameras and depth from features; never styled."""
+    """Cameras and depth from features; never styled.
+
+    One that ``reads_cameras`` takes those of the views as a third argument, ``None`` where they are not known.
+    """
+
+    reads_cameras: ClassVar[bool] = False
 
     @abstractmethod
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
@@ -142,6 +147,8 @@ class Backbone(Pluggable, nn.Module, ABC):
     resolution: int
     trusted_cameras: bool = True
     """Whether the cameras that it predicts are good enough to make a scene with; a small network's are not."""
+    needs_cameras: ClassVar[bool] = False
+    """Whether views must come with cameras, which then are those of the scene; ``poses=known`` is its default."""
     frozen: bool = False
     sources: tuple[Source, ...] = ()
     """The published weights that the constructor filled it with, where it does."""
@@ -163,15 +170,42 @@ class Backbone(Pluggable, nn.Module, ABC):
         """Where style may enter; a style branch offers one more, :data:`anystyle.branch.COLOR`."""
         return self.aggregator.sites + self.gaussian_head.sites
 
+    @property
+    @final
+    def reads_cameras(self) -> bool:
+        """Whether the cameras of views, where they are known, change what it computes."""
+        return self.needs_cameras or self.embedder.reads_cameras or self.geometry_head.reads_cameras
+
+    @final
+    def stem_of(self, views: Views) -> Tokens:
+        """The embedder's tokens of views.
+
+        Raises:
+            UserError: The network needs cameras, and the views have none.
+        """
+        if self.needs_cameras and views.cameras is None:
+            remedy = "poses=known reads those that are stored, and poses=sfm finds some"
+            raise UserError(f"{type(self).__name__} needs the cameras of its views, which have none; {remedy}")
+        return self.embedder(views.images, *((views.cameras,) if self.embedder.reads_cameras else ()))
+
+    @final
+    def geometry_of(self, features: Features, views: Views) -> Geometry:
+        """The geometry head's prediction for views."""
+        head = self.geometry_head
+        return head(features, views.images, *((views.cameras,) if head.reads_cameras else ()))
+
     @final
     def encode(self, views: Views, *, colors: bool = True) -> Scene:
-        """Compute all that does not depend on style; without ``colors`` nothing may read the unstyled ones."""
+        """Compute all that does not depend on style; without ``colors`` nothing may read the unstyled ones.
+
+        Raises:
+            UserError: As :meth:`stem_of`.
+        """
         # A product of a tensor that is not contiguous is rounded in one way with weights that learn, as a style branch
         # has them, and in another with frozen ones.
-        cameras = (views.cameras,) if self.embedder.reads_cameras else ()
-        stem = self.embedder(views.images, *cameras).contiguous()
+        stem = self.stem_of(views).contiguous()
         features = contiguous(self.aggregator(stem))
-        geometry = self.geometry_head(features, views.images)
+        geometry = self.geometry_of(features, views)
         head = self.gaussian_head
         attributes = head(features, views.images) if colors else head.without_colors(features, views.images)
         clusters = self.adapter.cluster(geometry, attributes)

@@ -307,7 +307,7 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
                 for number, frame in video.read_frames(path, frames_each):
                     shots.append(_Shot(path, f"{text_of(path.stem)}_{number:06d}", frame.size, frame))
             else:
-                shots.append(_Shot(path, text_of(path.stem), images.image_size(path)))
+                shots.append(_Shot(path, text_of(path.stem), images.photograph_size(path)))
         except ValueError as error:
             problems.append(str(error))
     return shots or _nothing(problems), problems

@@ -2,6 +2,7 @@
 
 import io
 import logging
+import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -31,6 +32,20 @@ def image_size(source: Picture, name: str = "") -> tuple[int, int]:
         width, height = stored_size(image)
         transposed = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
         return (height, width) if transposed else (width, height)
+
+
+def photograph_size(path: Path) -> tuple[int, int]:
+    """:func:`image_size` of a photograph; a panorama, which no perspective camera takes, is refused.
+
+    It is one by its tag ``GPano:ProjectionType``, which 360° cameras and phones write.
+    """
+    with opened(path) as image:
+        xmp = image.info.get("xmp", b"")
+    found = re.search(rb"GPano:ProjectionType\W{1,4}(equirectangular|cylindrical)", xmp)
+    if found:
+        told = f"{path} is a panorama ({found[1].decode()}), which no perspective camera takes"
+        raise UserError(f"{told}: cut it into views, such as by ns-process-data images --camera-type equirectangular")
+    return image_size(path)
 
 
 def read_exif(path: Path) -> Image.Exif:

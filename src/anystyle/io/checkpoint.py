@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -17,6 +18,8 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import fit, parse_json, regular
 
 FORMAT = "anystyle/1"
+SCALES = ":scales"
+"""What the key of the scales of a tensor in 8 bits ends with, after the tensor's own."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +102,28 @@ def load_part(path: str | Path, module: nn.Module, part: str) -> Header:
     if header.part != part:
         raise UserError(f"{path} holds the weights of a {header.part}, but those of a {part} are needed")
     with _open(path) as file:
-        state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (no mapping)
+        stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (no mapping)
+    state = dequantized(stored, source=str(path))
     kept = {key: tensor for key, tensor in module.state_dict().items() if header.omits(key)}
     load_strictly(module, kept | state, source=str(path))
     return header
+
+
+def dequantized(stored: Mapping[str, Tensor], *, source: str) -> dict[str, Tensor]:
+    """Tensors as they are computed with, of those in a file of weights.
+
+    A tensor (rows, ...) stored as int8 ``KEY`` is multiplied by ``KEY:scales``, one a row; others stay as they are.
+    """
+    state = {key: tensor for key, tensor in stored.items() if not key.endswith(SCALES)}
+    quantized = [key for key, tensor in state.items() if tensor.dtype == torch.int8]
+    for key in quantized:
+        scales = stored.get(key + SCALES)
+        if scales is None or scales.shape != state[key].shape[:1]:
+            raise UserError(f"{source}: {key} is in 8 bits and needs {key}{SCALES}, one number for each of its rows")
+        state[key] = (state[key].flatten(1) * scales[:, None]).view(state[key].shape)
+    if unused := sorted(stored.keys() - state.keys() - {key + SCALES for key in quantized}):
+        raise UserError(f"{source}: {unused[0]} belongs to no tensor in 8 bits")
+    return state
 
 
 def load_strictly(module: nn.Module, state: Mapping[str, Tensor], *, source: str) -> None:

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import av
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, Image, JpegImagePlugin, UnidentifiedImageError
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
 
-MAX_PIXELS = 178_000_000
-"""The largest image that is accepted, as in Pillow; only JPEG files of this size are decoded, reduced."""
+MAX_PIXELS = 400_000_000
+"""The largest image that is accepted; only JPEG files of this size are decoded, reduced."""
 MAX_DECODED = 100_000_000
 """The most pixels that are decoded: with the copies of a conversion about one gigabyte."""
 
@@ -56,7 +56,7 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
         regular(source, most=None, what="image")
     decoded = formats()
     try:
-        with Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=decoded) as image:
+        with _open(source, decoded) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise UserError(_too_large(image))
             yield image
@@ -75,6 +75,16 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):
             raise
         raise UserError(f"{what} is a damaged image ({one_line(error)[:200] or type(error).__name__})") from None
+
+
+def _open(source: Picture, decoded: tuple[str, ...]) -> Image.Image:
+    """An image whose header is read; Pillow's limit does not hold for JPEG files, which can be decoded reduced."""
+    try:
+        return Image.open(source if isinstance(source, Path) else io.BytesIO(source), formats=decoded)
+    except Image.DecompressionBombError:
+        with suppress(SyntaxError):  # of another format
+            return JpegImagePlugin.JpegImageFile(source if isinstance(source, Path) else io.BytesIO(source))
+        raise
 
 
 def stored_size(image: Image.Image) -> tuple[int, int]:

@@ -14,8 +14,6 @@ from anystyle.registry.catalog import catalog
 if TYPE_CHECKING:
     from anystyle.metrics.art_fid import ArtFID as ArtFID
     from anystyle.metrics.art_score import ArtScore as ArtScore
-    from anystyle.metrics.clip import ClipDirection as ClipDirection
-    from anystyle.metrics.clip import ClipStyle as ClipStyle
     from anystyle.metrics.color_match import ColorMatch as ColorMatch
     from anystyle.metrics.kid import KID as KID
     from anystyle.metrics.lpips import LPIPS as LPIPS
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from anystyle.metrics.psnr import PSNR as PSNR
     from anystyle.metrics.ssim import SSIM as SSIM
     from anystyle.metrics.timing import Timing as Timing
-    from anystyle.metrics.warp_consistency import WarpConsistency as WarpConsistency
 
 
 def __getattr__(name: str) -> Any:

@@ -75,7 +75,8 @@ def from_files(
     if not stored:
         searched = f"in {folder}" if folder is not None else "beside the photographs"
         expected = ", ".join(reader.expects for reader in readers())
-        raise UserError(f"no cameras are stored {searched}; expected one of: {expected}; or use poses=predicted")
+        remedy = "or use poses=sfm or poses=predicted"
+        raise UserError(f"no cameras are stored {searched}; expected one of: {expected}; {remedy}")
     images, undistorted, matched = views.images.clone(), list(sources), {}
     for index, source in enumerate(sources):
         if source.path is None or (camera := stored.get(source.path)) is None:
@@ -86,7 +87,7 @@ def from_files(
             picture, undistorted[index] = read_picture(source.path, source.name, source.view_size, apply)
             images[0, index] = to_tensor(picture)
     if not matched:
-        raise UserError("none of the photographs has a stored camera; use poses=predicted")
+        raise UserError("none of the photographs has a stored camera; use poses=sfm or poses=predicted")
     seen = [view_camera(_straight(camera), undistorted[index]) for index, camera in matched.items()]
     targets = [
         view_camera(_straight(camera), SourceImage.covering(path.stem, camera.size, sources[0].view_size))

@@ -266,7 +266,7 @@ def _single_pass(given: ReadViews, stylizer: Stylizer, options: ViewOptions, sta
         return scene
 
     with stages("encode", f"{num_views} views of {width}x{height}"):
-        cameras = given.cameras if stylizer.backbone.embedder.reads_cameras else None
+        cameras = given.cameras if stylizer.backbone.reads_cameras else None
         views = Views(given.views.images, cameras, names=given.views.names).to(stylizer.device)
         return encode_groups(encode, views, size=options.max_views, overlap=options.overlap)
 

@@ -233,6 +233,7 @@ def load_model(
         stylizer, loaded = assemble_frozen(config)
         stylizer = stylizer.to(default_device())
         poses = "predicted" if stylizer.backbone.trusted_cameras else "auto"
+    poses = "known" if stylizer.backbone.needs_cameras else poses
     method = method or make_method(config, stylizer.style_encoder)
     if reconstruction is None and config.get("reconstruction") is not None:
         reconstruction = build(Reconstruction, config.reconstruction)

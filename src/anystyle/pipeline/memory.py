@@ -13,6 +13,7 @@ from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from anystyle.contracts import Backbone
+from anystyle.types import Cameras
 
 _log = logging.getLogger(__name__)
 
@@ -67,14 +68,16 @@ def encoding(backbone: Backbone, size: tuple[int, int]) -> tuple[float, float] |
 
         def encode(num_views: int) -> int:
             images = torch.empty(1, num_views, 3, *size)
+            pose, lens = (torch.eye(side).expand(1, num_views, side, side) for side in (4, 3))
+            cameras = Cameras(pose, lens, size)
 
             def run() -> list[object]:
-                stem = embedder(images)
+                stem = embedder(images, *([cameras] if embedder.reads_cameras else []))
                 features = aggregator(stem)
                 kept: list[object] = [stem, features]
                 # Cameras in closed form depend on values; they take little memory.
                 with contextlib.suppress(RuntimeError):
-                    kept.append(geometry_head(features, images))
+                    kept.append(geometry_head(features, images, *([cameras] if geometry_head.reads_cameras else [])))
                 return [*kept, gaussian_head(features, images)]
 
             return peak(run, parts.parameters()) + images.nbytes

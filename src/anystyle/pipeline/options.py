@@ -93,7 +93,8 @@ class PoseOptions:
             of kind ``cameras`` reads. ``target``: predicted, and the scene is rendered from the stored ones. ``auto``:
             stored ones where most photographs have them, else estimated by a plugin of kind ``pose_estimator`` where
             that succeeds, else predicted; or such a plugin.
-            ``None`` is ``predicted`` for a stylizer in memory and a backbone with ``trusted_cameras``, else ``auto``.
+            ``None`` is ``known`` for a backbone with ``needs_cameras``, ``predicted`` for another stylizer in memory or
+            one with ``trusted_cameras``, else ``auto``.
         folder: Holds stored cameras, or is their file, if not in the photographs' folder or the one above.
     """
 

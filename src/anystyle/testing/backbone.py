@@ -17,7 +17,7 @@ from anystyle.pipeline.weights import load_reference
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import override
 from anystyle.testing import asserts
-from anystyle.testing.inputs import cameras, noise, views
+from anystyle.testing.inputs import cameras, noise, views_of
 from anystyle.testing.subject import Subject
 from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry, Scene, Tokens, Views, untouched
 from anystyle.types.shapes import check_value
@@ -58,9 +58,9 @@ def test_encodes_several_scenes_at_once(plugin: Subject[Backbone]) -> None:
 @torch.no_grad()
 def test_numbers_are_finite(plugin: Subject[Backbone]) -> None:
     """Nothing is NaN or infinite, not for black or white images either."""
-    images = _views(plugin).images
-    for given in (images, torch.zeros_like(images), torch.ones_like(images)):
-        scene = plugin.instance.freeze().encode(Views(images=given))
+    views = _views(plugin)
+    for given in (views.images, torch.zeros_like(views.images), torch.ones_like(views.images)):
+        scene = plugin.instance.freeze().encode(replace(views, images=given))
         asserts.finite((scene, _gaussians(plugin.instance, scene)), "the encoded scene")
 
 
@@ -71,6 +71,15 @@ def test_cameras_are_rigid_pinholes(plugin: Subject[Backbone]) -> None:
         asserts.cameras(geometry.cameras, _views(plugin, shape=shape).size)
         lowest = float(geometry.confidence.min())
         assert lowest >= 0, f"a confidence of {lowest:.3g}"
+
+
+@torch.no_grad()
+def test_needed_cameras_are_those_of_the_scene(plugin: Subject[Backbone]) -> None:
+    """A backbone that needs cameras gives the scene those of its views; views without any raise a UserError."""
+    if not plugin.instance.needs_cameras:
+        return
+    asserts.close(_scene(plugin).cameras, _views(plugin).cameras, "the scene's cameras")
+    _assert_refused(plugin.instance.freeze().encode, replace(_views(plugin), cameras=None))
 
 
 @torch.no_grad()
@@ -136,7 +145,7 @@ def test_every_site_is_visited(plugin: Subject[Backbone]) -> None:
     backbone, given = plugin.instance.freeze(), _views(plugin)
     visited: dict[str, Tokens] = {}
     record = lambda site, tokens: visited.setdefault(site, tokens)  # noqa: E731
-    features = backbone.aggregator(backbone.embedder(given.images), record)
+    features = backbone.aggregator(backbone.stem_of(given), record)
     in_aggregator = list(visited)
     backbone.gaussian_head(features, given.images, record)
     sites = {site.name: site for site in backbone.sites}
@@ -276,8 +285,7 @@ def _assert_refused(function: Callable[..., object], *given: object) -> None:
 
 def _views(plugin: Subject[Backbone], *, batch: int = 1, number: int = 2, shape: tuple[int, int] = (3, 3)) -> Views:
     """Views of ``batch`` scenes; ``shape`` is height and width in patches."""
-    patch = plugin.instance.patch_size
-    return views(batch, number, (shape[0] * patch, shape[1] * patch))
+    return views_of(plugin.instance, batch, number, shape)
 
 
 @cache

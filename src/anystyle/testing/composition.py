@@ -13,7 +13,7 @@ from anystyle.io.checkpoint import load_strictly
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
-from anystyle.testing.inputs import generator, noise, views
+from anystyle.testing.inputs import generator, noise, views_of
 from anystyle.testing.subject import Subject, subject
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.injector import ToyInjector
@@ -44,8 +44,7 @@ class Composition:
     @cached_property
     def scene(self) -> Scene:
         """Two views, encoded."""
-        patch = self.backbone.instance.patch_size
-        return self.stylizer().encode(views(1, 2, (2 * patch, 3 * patch)))
+        return self.stylizer().encode(views_of(self.backbone.instance, 1, 2, (2, 3)))
 
     def stylizer(self, styled: tuple[str, ...] = ("rotation", "color"), seed: int = 0) -> Stylizer:
         """A stylizer with an untrained branch, which replaces the ``styled`` attributes."""

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import neutral_embedding
+from anystyle.contracts import Backbone, neutral_embedding
 from anystyle.geometry.cameras import look_at
 from anystyle.testing.subject import seeded
 from anystyle.testing.toy.backbone import ToyBackbone
@@ -43,6 +43,12 @@ def views(batch: int, number: int, size: tuple[int, int], seed: int = 0) -> View
     """Photographs of ``batch`` scenes without cameras; a scene's do not depend on the others'."""
     scenes = [images(number, size, seed=seed + scene) for scene in range(batch)]
     return Views(images=torch.stack(scenes), names=tuple(f"view_{index}" for index in range(number)))
+
+
+def views_of(backbone: Backbone, batch: int, number: int, shape: tuple[int, int]) -> Views:
+    """Photographs for a backbone, of ``shape`` in patches; with cameras if it reads any."""
+    given = views(batch, number, (shape[0] * backbone.patch_size, shape[1] * backbone.patch_size))
+    return replace(given, cameras=cameras(batch, number, given.size)) if backbone.reads_cameras else given
 
 
 def cameras(batch: int, number: int, size: tuple[int, int]) -> Cameras:

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from lightning.fabric.utilities.throughput import Throughput
 from lightning.pytorch import Callback, LightningModule, Trainer
-from lightning.pytorch.callbacks import ThroughputMonitor
+from lightning.pytorch.callbacks import ThroughputMonitor, Timer
 from torch import Tensor, nn
 
 from anystyle.errors import UserError, one_line
@@ -37,6 +37,21 @@ class StepSeed(Callback):
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         torch.manual_seed(int(generator(self.seed, batch_idx, 0).integers(2**63)))
+
+
+def ends_step(trainer: Trainer, batch_idx: int) -> bool:
+    """Whether the optimizer steps after a batch, and not after later ones whose gradients are added to its own."""
+    return (batch_idx + 1) % trainer.accumulate_grad_batches == 0
+
+
+class StepTimer(Timer):
+    """Lightning's, which ends a run after an optimizer step only: a checkpoint holds no gradients of a part of one."""
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        if ends_step(trainer, batch_idx):
+            super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
 
 
 class StepThroughput(ThroughputMonitor):
@@ -180,7 +195,7 @@ def logged(trainer: Trainer) -> dict[str, float]:
 
 
 class MovingAverage(Callback):
-    """An exponential moving average of the trainable weights, which is validated and exported.
+    """An exponential moving average of the trainable weights over steps, which is validated and exported.
 
     The decay begins at ``(1 + step) / (10 + step)``, so that the average is not slow to start. Lightning's
     ``EMAWeightAveraging`` copies the whole module, frozen networks included, into every checkpoint.
@@ -191,7 +206,11 @@ class MovingAverage(Callback):
         self.weights: dict[str, Tensor] = {}
 
     @torch.no_grad()
-    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any, **__: Any) -> None:
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        if not ends_step(trainer, batch_idx):
+            return
         decay = min(self.decay, (1 + trainer.global_step) / (10 + trainer.global_step))
         for name, parameter in _trainable(pl_module).items():
             if name in self.weights:

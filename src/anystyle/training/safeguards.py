@@ -64,7 +64,7 @@ class FiniteLoss(Callback):
 
 
 class SkipOutliers(Callback):
-    """Scale the gradients of outlying losses by 1e-10, as the published code does.
+    """Scale the gradients of steps with outlying losses by 1e-10, as the published code does.
 
     After step ``after``, an outlier is a loss above ``mean + deviations * std`` of the last ``window`` losses, its own
     with them. The optimiser's averages and the weight decay still move.
@@ -73,22 +73,23 @@ class SkipOutliers(Callback):
     def __init__(self, *, window: int = 500, deviations: float = 0.85, after: int = 3000) -> None:
         self.window, self.deviations, self.after = window, deviations, after
         self.history: list[float] = []
-        self._skip = False
+        self._batches: list[float] = []
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
-        self.history = [*self.history, float(loss.detach())][-self.window :]
-        self._skip = (
-            len(self.history) == self.window
-            and trainer.global_step > self.after
-            and self.history[-1] > np.mean(self.history) + self.deviations * np.std(self.history)
-        )
+        self._batches.append(float(loss.detach()))  # of accumulated batches: its share in the step's
 
     @torch.no_grad()
-    def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        if self._skip:
-            for parameter in pl_module.parameters():
-                if parameter.grad is not None:
-                    parameter.grad.mul_(1e-10)
+    def on_before_optimizer_step(
+        self, trainer: Trainer, pl_module: LightningModule, optimizer: torch.optim.Optimizer
+    ) -> None:
+        self.history = [*self.history, sum(self._batches)][-self.window :]
+        self._batches = []
+        limit = np.mean(self.history) + self.deviations * np.std(self.history)
+        if len(self.history) < self.window or trainer.global_step <= self.after or self.history[-1] <= limit:
+            return
+        for parameter in pl_module.parameters():
+            if parameter.grad is not None:
+                parameter.grad.mul_(1e-10)
 
     def state_dict(self) -> dict[str, Any]:
         return {"history": self.history}

@@ -161,7 +161,7 @@ class StylizationTraining(Training):
         style = batch.style
         assert style is not None
         views = batch.inputs
-        cameras = views.cameras if self.stylizer.backbone.embedder.reads_cameras else None
+        cameras = views.cameras if self.stylizer.backbone.reads_cameras else None
         scene = self.encoded(Views(images=views.images, cameras=cameras), batch.keys)
         gaussians, unstyled, identity = self.stylizer.restyle(scene, embedding), None, None
         if any(loss.needs_identity for loss in self.losses.values()):
@@ -214,7 +214,8 @@ class StylizationTraining(Training):
     @torch.no_grad()
     def preview(self, batch: Batch) -> list[list[Float[Tensor, "3 H W"]]]:
         """Rows of images: the photographs of the first scene, unstyled renders, and renders in each style."""
-        views, stylizer = Views(images=batch.inputs.images[:1]), self.stylizer
+        stylizer, inputs = self.stylizer, batch.inputs.row(0)
+        views = Views(images=inputs.images, cameras=inputs.cameras if stylizer.backbone.reads_cameras else None)
         scene = stylizer.encode(views)
         embeddings = [stylizer.embed(text=text) for text in self.preview_texts]
         if batch.style is not None and batch.style.image is not None:

@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.errors import MissingExtra, UserError, one_line, unknown
 from anystyle.ranges import AtLeastOne, Count, NonNegative, Positive, Range
 from anystyle.registry.schema import check, option
-from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput
+from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput, StepTimer
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 
 
@@ -92,7 +92,9 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
         *([SkipOutliers()] if config.skip_outliers else []),
         *([] if options["enable_progress_bar"] else [ProgressLines()]),
     ]
+    max_time = options.pop("max_time", None)
     try:
+        timer = [] if max_time is None else [StepTimer(max_time)]
         return pl.Trainer(
             **options,
             # Lightning would resume from files of its own there, whatever the run was asked for; and requeue by itself.
@@ -103,7 +105,7 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
             use_distributed_sampler=False,
             enable_checkpointing=False,
             logger=make_loggers(list(config.loggers), out, str(config.name)),
-            callbacks=[*common, *callbacks],
+            callbacks=[*common, *timer, *callbacks],
         )
     except UserError:
         raise

@@ -213,9 +213,21 @@ def _text_cameras(data: bytes) -> Iterator[tuple[Any, ...]]:
 
 
 def _text_images(data: bytes) -> Iterator[tuple[Any, ...]]:
-    lines = (line.strip() for line in _text(data).splitlines() if not line.startswith("#"))
-    for line in lines:
-        if line:  # blank lines may lie between records; the line of points, which may be blank too, is skipped below
-            number, *pose, camera, name = line.split(maxsplit=9)
-            yield int(number), list(map(float, pose)), int(camera), name
-            next(lines, "")
+    """Records of two lines, of which the second, of points, may be blank; files of other programs may lack it."""
+    lines = [line.strip() for line in _text(data).splitlines() if not line.startswith("#")]
+    taken = 0
+    for index, line in enumerate(lines):
+        if index < taken or not line:  # blank lines may lie between records, too
+            continue
+        number, *pose, camera, name = line.split(maxsplit=9)
+        yield int(number), list(map(float, pose)), int(camera), name
+        taken = index + (1 if _is_record(lines[index + 1 : index + 2]) else 2)
+
+
+def _is_record(line: Sequence[str]) -> bool:
+    """Whether a line is of an image: it ends in a name, where points are numbers in threes."""
+    *_, last = line[0].split(maxsplit=9) if line and line[0] else ("0",)
+    try:
+        return not [float(word) for word in last.split()]
+    except ValueError:
+        return True

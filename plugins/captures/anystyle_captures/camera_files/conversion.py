@@ -18,6 +18,8 @@ from anystyle_captures.camera_files.lens import Lens
 _log = logging.getLogger(__name__)
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's camera looks along -z with y up."""
+TOLERANCE = 0.02
+"""By how much the numbers of a rotation may be off."""
 FAR = 1e4
 """Cameras further from the origin than so many times their spread are moved there, for 32-bit numbers to hold them."""
 
@@ -28,13 +30,14 @@ def files_of(path: Path, suffix: str) -> list[Path]:
     return [file for file in files if file.suffix.lower() == suffix and file.is_file()]
 
 
-def rigid(matrix: np.ndarray) -> Float64[np.ndarray, "4 4"]:
-    """The nearest rigid motion of a stored 3x4 or 4x4 matrix."""
+def rigid(matrix: np.ndarray, *, length: float = 1.0) -> Float64[np.ndarray, "4 4"]:
+    """The nearest rigid motion of a stored 3x4 or 4x4 matrix whose axes are ``length`` long."""
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
         raise UserError("a pose is not a finite 3x4 matrix")
-    u, _, vt = np.linalg.svd(matrix[:3, :3])
+    axes = matrix[:3, :3] / length
+    u, _, vt = np.linalg.svd(axes)
     rotation = u @ vt
-    if np.linalg.det(rotation) < 0 or np.abs(rotation - matrix[:3, :3]).max() > 0.02:
+    if np.linalg.det(rotation) < 0 or np.abs(rotation - axes).max() > TOLERANCE:
         raise UserError("a pose has no rotation in it")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, matrix[:3, 3]

@@ -1,5 +1,6 @@
 """``transforms.json`` of nerfstudio, other NeRF tools and DL3DV, and ``poses_bounds.npy`` of LLFF."""
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,15 +10,19 @@ import msgspec
 import numpy as np
 
 from anystyle.contracts import CameraReader, StoredCamera
+from anystyle.data.images import image_size
+from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_array
 from anystyle.io.documents import read_json
 from anystyle.ranges import Positive
 from anystyle_captures.camera_files import samples
-from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, TOLERANCE, by_name, camera, finished, rigid
 from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
 
+_log = logging.getLogger(__name__)
 _WHAT = "transforms.json of cameras"
+_SPLITS = "transforms_*.json"
 _MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 
@@ -43,7 +48,10 @@ class _Frame(msgspec.Struct):
     transform_matrix: list[list[float]] = []
 
     def camera(self, shared: "_Frame") -> StoredCamera:
-        """The camera of a frame; values that it leaves out are the shared ones."""
+        """The camera of a frame; values that it leaves out are the shared ones.
+
+        A camera does not see how long its axes are: scaled ones, as Blender's can be, count as if of length 1.
+        """
         own = {name: value for name, value in msgspec.structs.asdict(self).items() if value is not None}
         values = msgspec.structs.asdict(shared) | own
         fx, fy, cx, cy, angle = (values[name] for name in ("fl_x", "fl_y", "cx", "cy", "camera_angle_x"))
@@ -67,7 +75,11 @@ class _Frame(msgspec.Struct):
         rows = self.transform_matrix
         if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
             raise UserError(f"transform_matrix of {self.file_path[:80]!r} is not a 4x4 matrix")
-        return camera(rigid(np.array(rows, np.float64)[:3] @ OPENCV_FROM_OPENGL), lens)
+        return camera(rigid(np.array(rows, np.float64)[:3] @ OPENCV_FROM_OPENGL, length=self.length()), lens)
+
+    def length(self) -> float:
+        """The length of the axes of the camera; 1 if there is none."""
+        return float(np.cbrt(abs(np.linalg.det(np.array(self.transform_matrix, np.float64)[:3, :3])))) or 1.0
 
 
 class _Transforms(_Frame, kw_only=True):
@@ -75,7 +87,11 @@ class _Transforms(_Frame, kw_only=True):
 
 
 class Transforms(CameraReader):
-    """``transforms.json`` of nerfstudio, instant-ngp and DL3DV: cameras of frames, shared or their own intrinsics."""
+    """``transforms.json`` of nerfstudio, instant-ngp and DL3DV: cameras of frames, shared or their own intrinsics.
+
+    Blender's synthetic scenes have a file for each split, ``transforms_train.json`` and others, which are read as one.
+    Where the files do not say how large the images are, their size is that of the first image.
+    """
 
     expects = "transforms.json"
     rank = 10
@@ -87,16 +103,37 @@ class Transforms(CameraReader):
         return {}
 
     def find(self, path: Path) -> Path | None:
-        file = path / "transforms.json" if path.is_dir() else path
-        return file if file.suffix == ".json" and file.is_file() else None
+        if path.is_dir():
+            single = path / "transforms.json"
+            return single if single.is_file() else path if any(path.glob(_SPLITS)) else None
+        return path if path.suffix == ".json" and path.is_file() else None
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
-        content: _Transforms = read_json(path, _Transforms, what=_WHAT)
-        try:
-            cameras = [(frame.file_path, frame.camera(content)) for frame in content.frames]
-        except ValueError as error:
-            raise UserError(f"{path}: {error}") from None
+        files = sorted(path.glob(_SPLITS)) if path.is_dir() else [path]
+        cameras = [one for file in files for one in _cameras(file, images)]
         return finished(by_name(cameras, path), images)
+
+
+def _cameras(path: Path, images: Sequence[Path]) -> list[tuple[str, StoredCamera]]:
+    content: _Transforms = read_json(path, _Transforms, what=_WHAT)
+    if content.w is None and content.h is None and any(frame.w is None for frame in content.frames):
+        content.w, content.h = _size(path, content.frames, images)
+    try:
+        cameras = [(frame.file_path, frame.camera(content)) for frame in content.frames]
+    except ValueError as error:
+        raise UserError(f"{path}: {error}") from None
+    lengths = [frame.length() for frame in content.frames]
+    if lengths and max(abs(length - 1) for length in lengths) > TOLERANCE:
+        _log.warning("%s: the axes of cameras are up to %.3g long, and are taken as if of length 1", path, max(lengths))
+    return cameras
+
+
+def _size(path: Path, frames: Sequence[_Frame], images: Sequence[Path]) -> tuple[float | None, float | None]:
+    """Width and height of the first image that is there: one of those given, or one below the file's folder."""
+    names = [frame.file_path for frame in frames]
+    below = [path.parent / f"{name}{suffix}" for name in names for suffix in ("", ".png")]
+    first = next((image for image in (*matched(names, images), *below) if image.is_file()), None)
+    return (None, None) if first is None else image_size(first)
 
 
 class Llff(CameraReader):

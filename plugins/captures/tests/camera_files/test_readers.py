@@ -7,9 +7,10 @@ import pytest
 from PIL import Image
 
 from anystyle.data.folder import read_views
-from anystyle.data.poses import read_poses
+from anystyle.data.poses import read_poses, stored_cameras
 from anystyle.pipeline.cameras import from_files
 from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL
 from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.camera_files.realityscan import world_from_camera
 
@@ -276,3 +277,35 @@ def test_other_files_beside_photographs_are_left_alone(tmp_path):
     header = "#name,x,y,alt,yaw,pitch,roll,f_35mm,px_norm,py_norm,k1,k2,k3,k4,t1,t2"
     (tmp_path / "cameras.csv").write_text("#cameras 3\n" + header + "\n" + text.partition("\n")[2])
     assert len(read_poses(tmp_path, images)) == 3
+
+
+def test_blenders_splits_are_one_capture_of_the_size_of_its_images(tmp_path):
+    matrices, angle = samples.poses(), 0.7
+    for split, count in (("test", 1), ("train", 2)):
+        images = samples.write_photographs(tmp_path / split, SIZE, count)
+        poses = [matrices.pop(0) @ OPENCV_FROM_OPENGL for _ in images]
+        frames = [
+            {"file_path": f"./{split}/{image.stem}", "rotation": 0.01, "transform_matrix": pose.tolist()}
+            for image, pose in zip(images, poses, strict=True)
+        ]
+        (tmp_path / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
+    images = [tmp_path / "test/view_0.png", tmp_path / "train/view_0.png", tmp_path / "train/view_1.png"]
+    for cameras in (read_poses(tmp_path, images), stored_cameras(tmp_path)):
+        for camera, pose in zip(cameras.values(), samples.poses(), strict=True):
+            np.testing.assert_allclose(camera.world_from_camera, pose, atol=1e-12)
+            focal = SIZE[1] / 2 / np.tan(angle / 2)
+            expected = [[focal, 0, SIZE[1] / 2], [0, focal, SIZE[0] / 2], [0, 0, 1]]
+            np.testing.assert_allclose(camera.intrinsics, expected)
+            assert camera.size == SIZE
+
+
+def test_cameras_whose_axes_are_scaled_are_as_if_they_were_not(tmp_path, caplog):
+    images = samples.write_photographs(tmp_path / "images", SIZE)
+    write, file = samples.write_transforms, tmp_path / "transforms.json"
+    write(file, images, [pose @ np.diag([0.3, 0.3, 0.3, 1.0]) for pose in samples.poses()], samples.pinhole(SIZE))
+    for camera, pose in zip(read_poses(tmp_path, images).values(), samples.poses(), strict=True):
+        np.testing.assert_allclose(camera.world_from_camera, pose, atol=1e-12)
+    assert f"{file}: the axes of cameras are up to 0.3 long" in caplog.text
+    write(file, images, [pose @ np.diag([0.3, 0.3, 1.0, 1.0]) for pose in samples.poses()], samples.pinhole(SIZE))
+    with pytest.raises(ValueError, match="a pose has no rotation in it"):
+        read_poses(tmp_path, images)

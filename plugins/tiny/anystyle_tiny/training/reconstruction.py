@@ -106,7 +106,7 @@ class ReconstructionTraining(Training):
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
         backbone = self.backbone
-        stem, rows = backbone.embedder(batch.inputs.images), len(batch.keys)
+        stem, rows = backbone.stem_of(batch.inputs), len(batch.keys)
         views, stem = reference_view_first(batch.views, stem)
         with self.exact():
             views = canonical(views, batch.context)
@@ -114,7 +114,7 @@ class ReconstructionTraining(Training):
         features = backbone.aggregator(stem)
         with self.exact():
             features = {layer: tokens.to(torch.float32) for layer, tokens in features.items()}
-            geometry = backbone.geometry_head(features, inputs.images)
+            geometry = backbone.geometry_of(features, inputs)
         losses = self.geometry_losses(features, geometry, inputs)
         if self.global_step % self.render_every == 0:
             rendered = [step // self.render_every % batch.context, *range(batch.context, views.images.shape[1])]
@@ -179,7 +179,7 @@ class ReconstructionTraining(Training):
         return adapter(attributes, geometry, adapter.cluster(geometry, attributes))
 
     def errors(self, batch: Batch) -> dict[str, Float[Tensor, ""]]:
-        views, _ = reference_view_first(batch.views, self.backbone.embedder(batch.inputs.images))
+        views, _ = reference_view_first(batch.views, self.backbone.stem_of(batch.inputs))
         views = canonical(views, batch.context)
         inputs = views.select(list(range(batch.context)))
         scene = self.backbone.encode(inputs)

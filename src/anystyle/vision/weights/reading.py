@@ -12,6 +12,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.io.arrays import check_tensors
+from anystyle.io.checkpoint import dequantized
 from anystyle.io.documents import regular
 
 IGNORED = (
@@ -60,7 +61,7 @@ def read(path: str | Path) -> dict[str, Tensor]:
         check_tensors(state.values())
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    return dict(state)
+    return dequantized(state, source=str(path))
 
 
 def _torch_file(path: Path) -> Any:
