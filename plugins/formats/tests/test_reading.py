@@ -18,13 +18,13 @@ from anystyle.commands import stylize
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io import ply
-from anystyle.pipeline.export import export, export_styles, in_axes
+from anystyle.pipeline.export import export_styles, in_axes
 from anystyle.pipeline.options import SplatOptions
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
 from tests.support.export_readers import SPLAT_TRANSFORM
-from tests.support.export_scene import LEAST, picture, psnr, scene
+from tests.support.export_scene import LEAST, export, picture, psnr, scene
 
 READ = ("ksplat", "ply", "sog", "splat", "spz")
 QUANTISED = {"ksplat": 40, "sog": 34, "splat": 30, "spz": 34}

@@ -25,7 +25,7 @@ from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render
 from anystyle.paths import short_names
-from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras
+from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
@@ -119,13 +119,13 @@ def read_unturned(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScen
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     first, report = next(iter(reports.items()))
-    cameras, names = own_cameras(first / "cameras.json")
+    stored = own_cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     notes = (made, *weights.license_lines(report.licenses), *report.notes)
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
     pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
     shared = {"offset": whole.offset, "pictures": pictures, "photographed": _photographed([report])}
-    return StyledScene(tuple(styles), cameras, names, notes, **shared)
+    return with_cameras(StyledScene(tuple(styles), notes=notes, **shared), stored)
 
 
 def _configured(path: Path) -> bool:

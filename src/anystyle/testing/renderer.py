@@ -98,12 +98,10 @@ def test_long_gaussians_are_turned(plugin: Subject[Renderer]) -> None:
 
 
 def test_antialiased_gaussians_are_fainter(plugin: Subject[Renderer]) -> None:
-    """Antialiased Gaussians lose what a pixel's filter adds: much thinner than a pixel, nearly all; wide ones, none."""
-    for size, low, high in ((0.002, 0.0, 0.1), (2.0, 0.99, 1.0)):
-        scene = _single(torch.zeros(3), size=size)
-        before, after = (_render(plugin, scene.marked(mode), cameras(1, 1, (33, 33))) for mode in (False, True))
-        share = float(after.alpha.sum() / before.alpha.sum())
-        assert low <= share <= high, f"{share:.3f} of alpha is left of an antialiased Gaussian of size {size:g}"
+    """Antialiased Gaussians lose what a pixel's filter adds: thinner than a pixel, nearly all of their alpha."""
+    scene, seen = _single(torch.zeros(3), size=0.002), cameras(1, 1, (33, 33))
+    before, after = (_render(plugin, scene.marked(mode), seen).alpha.sum() for mode in (False, True))
+    assert after < 0.1 * before, "antialiased Gaussians are drawn as others; multiply opacities as their class says"
 
 
 def test_near_hides_far(plugin: Subject[Renderer]) -> None:
