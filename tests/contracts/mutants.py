@@ -381,7 +381,7 @@ MUTANTS = {
         (Summed, "a_batch_has_a_mean"),
     ],
     "metric": [
-        (changed(ToyMetric, "compute", lambda f: {"change": f["change"].nan_to_num(0)}), "too_little_is_not_an_error"),
+        (changed(ToyMetric, "compute", lambda figure: figure.nan_to_num(0)), "too_little_is_not_an_error"),
         (
             given(ToyMetric, "update", lambda c: replace(c, stylized=c.stylized.clamp_(0.2, 0.8))),
             "inputs_are_left_alone",

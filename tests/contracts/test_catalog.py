@@ -77,7 +77,7 @@ def test_a_backbone_may_need_cameras():
 
 @pytest.mark.parametrize("kind", kinds())
 def test_every_promise_is_described(kind):
-    assert all((promise.__doc__ or "").endswith(".") for promise in promises(kind))
+    assert all((promise.__doc__ or "").strip().endswith(".") for promise in promises(kind))
 
 
 def test_a_broken_promise_says_what_is_wrong():

@@ -28,7 +28,7 @@ def test_rows_scenes_and_all_are_what_a_metric_says_of_them(tmp_path):
         metric = ToyMetric()
         for row in rows:
             metric.update(row)
-        return pytest.approx(float(metric.compute()["change"]), rel=1e-6)
+        return pytest.approx(float(metric.compute()), rel=1e-6)
 
     assert [(row.scene, row.style) for row in found.rows] == [(cell.scene, cell.style) for cell in cells]
     assert [row.figures["change"] for row in found.rows] == [alone(row) for row in comparisons]

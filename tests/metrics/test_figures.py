@@ -38,7 +38,7 @@ def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:
 def figure(metric: Metric, *comparisons: Comparison) -> float:
     for comparison in comparisons:
         metric.update(comparison)
-    (value,) = metric.compute().values()
+    (value,) = metric.figures().values()
     return float(value)
 
 
@@ -235,7 +235,7 @@ def test_frames_are_neighbours_by_their_numbers():
         rows = given.content[:, list(views)], given.stylized[:, list(views)]
         metric.update(Comparison(*rows, numbers=numbers))
         with warnings.catch_warnings(action="ignore"):  # of a range without pairs
-            return {name: float(value) for name, value in metric.compute().items()}
+            return {name: float(value) for name, value in metric.figures().items()}
 
     some, one, other = found(0, 1, 2, 3, numbers=(0, 1, 3, 7)), found(0, 1), found(0, 3)
     assert some["warp_rmse_short"] == pytest.approx(one["warp_rmse_short"], rel=1e-6)

@@ -43,7 +43,7 @@ def rows():
 
 def figures(metric):
     with warnings.catch_warnings(action="ignore"):  # of few images, which is no matter here
-        return {name: float(value) for name, value in metric.compute().items()}
+        return {name: float(value) for name, value in metric.figures().items()}
 
 
 def _process(rank, count, port, folder):

@@ -100,8 +100,8 @@ def test_figures_bear_its_name():
     names = [["st_lpips"], ["st_lpips_gray"], ["warp_st_lpips_short", "warp_st_lpips_long"]]
     for metric, own in zip(metrics, names, strict=True):
         metric.update(comparison(2, 8 if len(own) == 2 else 2))
-        assert [name for name in metric.compute() if "lpips" in name] == own
-        assert metric.compute().keys() == metric.better.keys()
+        assert [name for name in metric.figures() if "lpips" in name] == own
+        assert metric.figures().keys() == metric.better.keys()
         assert all("st_lpips" in metric.stand_ins[name] for name in own)
     assert metrics[0].stand_ins["art_fid"] == "texture_moments, st_lpips"
     assert ArtFID(weights="stand_in").better == ArtFID.better

@@ -100,7 +100,7 @@ def test_scenes_that_show_their_painting_are_found_and_others_not(network, paint
         crops = paintings.roll(shift, 0)[:, None, :, 20:148, 10:138].expand(-1, 2, -1, -1, -1)
         style = Style(image=paintings)
         metric.update(Comparison(content=crops, stylized=crops, style=style, scenes=("one",) * 4))
-        assert {name: float(value) for name, value in metric.compute().items()} == {
+        assert {name: float(value) for name, value in metric.figures().items()} == {
             "style_retrieval": expected,
             "style_retrieval_gray": expected,
         }

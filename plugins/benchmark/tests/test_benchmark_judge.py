@@ -72,7 +72,7 @@ def test_a_cell_is_what_the_metric_says_of_its_images(world):
     (cell,) = [cell for cell in read(results).cells if cell.cell == target]
     (metric,) = judging.make(["color_match"], []).values()
     metric.update(comparison)
-    assert cell.figures["color_match"] == pytest.approx(float(metric.compute()["color_match"]), rel=1e-5)
+    assert cell.figures["color_match"] == pytest.approx(float(metric.compute()), rel=1e-5)
 
 
 def test_two_runs_are_equal_to_the_last_byte_and_only_what_changed_is_judged(copy, monkeypatch):

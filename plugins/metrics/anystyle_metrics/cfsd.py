@@ -42,7 +42,7 @@ class CFSD(NetworkMetric, RowMean):
         >>> images = torch.rand(1, 3, 32, 32)
         >>> metric = CFSD(weights="stand_in")
         >>> metric.update(images, images)
-        >>> print(f"{metric.compute()['cfsd']:.3f}")
+        >>> print(f"{metric.compute():.3f}")
         0.000
     """
 

@@ -27,7 +27,7 @@ class ClipStyle(RowMean):
         >>> images = torch.rand(1, 3, 32, 32)
         >>> metric = ClipStyle(style_encoder=inputs.style_encoder(), size=None)
         >>> metric.update(images, images)  # the result is the style image
-        >>> print(f"{metric.compute()['clip_style']:.3f}")
+        >>> print(f"{metric.compute():.3f}")
         1.000
     """
 
@@ -99,7 +99,7 @@ class ClipDirection(ClipStyle):
         >>> images = torch.rand(1, 3, 32, 32)
         >>> metric = ClipDirection(style_encoder=inputs.style_encoder(), size=None)
         >>> metric.update(images, images, ["waves"])  # nothing changed
-        >>> float(metric.compute()["clip_direction"])
+        >>> float(metric.compute())
         0.0
     """
 

@@ -48,7 +48,7 @@ class Met3rDepth(NetworkMetric, RowMean):
         >>> intrinsics = torch.tensor([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]).repeat(1, 2, 1, 1)
         >>> cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), intrinsics, (64, 64))
         >>> figure = Met3rDepth(weights="stand_in")(views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
-        >>> round(float(figure["met3r_depth"]), 3)
+        >>> round(float(figure), 3)
         0.0
     """
 

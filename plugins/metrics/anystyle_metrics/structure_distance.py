@@ -34,7 +34,7 @@ class StructureDistance(NetworkMetric, RowMean):
         >>> import torch
         >>> image = torch.rand(1, 3, 64, 64)
         >>> StructureDistance(weights="stand_in")(image, image)
-        {'structure_distance': tensor(0.)}
+        tensor(0.)
     """
 
     better: ClassVar[Mapping[str, str]] = {"structure_distance": "lower"}

@@ -22,9 +22,9 @@ from tests.support.real_data import real
 
 def figures(metric, content, stylized, style=None, **known):
     given = None if style is None else Style(image=style[None])
-    return {
-        name: float(value) for name, value in metric(Comparison(content[None], stylized[None], given, **known)).items()
-    }
+    metric.reset()
+    metric.update(Comparison(content[None], stylized[None], given, **known))
+    return {name: float(value) for name, value in metric.figures().items()}
 
 
 def noise_like(images):

@@ -5,7 +5,7 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, final
 from uuid import uuid4
 
 import torch
@@ -82,7 +82,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     runtime = ("style_encoder", "correspondence")
 
     better: ClassVar[Mapping[str, str]]
-    """For each name that :meth:`compute` returns, ``higher`` or ``lower``; an instance may have other names."""
+    """For each figure that :meth:`compute` returns, ``higher`` or ``lower``; an instance may have other names."""
 
     timed: ClassVar[bool] = False
     """Whether its figures are times, which vary between runs on the same images."""
@@ -120,8 +120,17 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
         """Take in stylized scenes: ``update(self, comparison: Comparison)``."""
 
     @abstractmethod
-    def compute(self) -> dict[str, Tensor]:
-        """The figures over all that was taken in; ``nan`` with a warning where there was too little."""
+    def compute(self) -> Tensor | dict[str, Tensor]:
+        """The one figure of ``better`` over all that was taken in, or a dict where it names several.
+
+        A figure is ``nan``, with a warning, where there was too little.
+        """
+
+    @final
+    def figures(self) -> dict[str, Tensor]:
+        """What :meth:`compute` returns, by name, for a metric with one figure as well."""
+        value = self.compute()
+        return value if isinstance(value, dict) else dict.fromkeys(self.better, value)
 
     def of_each_row(self) -> dict[str, Float[Tensor, " N"]]:
         """Figures that each row taken in, in order, has only beside the others of its scene."""

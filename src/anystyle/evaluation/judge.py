@@ -204,4 +204,4 @@ def _recorded_warnings(texts: list[str], metric: str) -> Iterator[None]:
 
 
 def _compute(metric: Metric) -> dict[str, float]:
-    return {name: float(value) for name, value in metric.compute().items()}
+    return {name: float(value) for name, value in metric.figures().items()}

@@ -28,7 +28,7 @@ class ArtScore(NetworkMetric, RowMean):
         >>> metric, one = ArtScore(weights="stand_in"), ArtScore(weights="stand_in")
         >>> metric.update(images)
         >>> one.update(images[:, :1])
-        >>> float(metric.compute()["art_score"] - one.compute()["art_score"])  # the mean over views
+        >>> float(metric.compute() - one.compute())  # the mean over views
         0.0
     """
 

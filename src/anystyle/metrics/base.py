@@ -91,11 +91,11 @@ class RowMean(Metric, ABC):
         self.rows += values.numel()
 
     @final
-    def compute(self) -> dict[str, Tensor]:
+    def compute(self) -> Tensor:
         (name,) = self.better
         if int(self.rows) == 0:
             warnings.warn(f"{name}: {self.lacking}; the figure is nan", stacklevel=2)
-        return {name: (self.total / self.rows).float()}  # nan where there is no row
+        return (self.total / self.rows).float()  # nan where there is no row
 
 
 class NetworkMetric(Metric, ABC):

@@ -25,7 +25,7 @@ class ColorMatch(RowMean):
         >>> images = torch.rand(1, 3, 16, 16)
         >>> metric = ColorMatch()
         >>> metric.update(images, images.flip(-1))  # the same colours elsewhere
-        >>> print(f"{metric.compute()['color_match']:.3f}")
+        >>> print(f"{metric.compute():.3f}")
         0.000
     """
 

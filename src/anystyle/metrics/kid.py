@@ -30,7 +30,7 @@ class KID(NetworkMetric):
         >>> images = torch.rand(2, 3, 75, 75, generator=torch.Generator().manual_seed(0))
         >>> metric = KID(weights="stand_in", size=75)
         >>> metric.update(images, images)  # unbiased: equal sets may be below 0
-        >>> print(f"{metric.compute()['kid']:.1f}")
+        >>> print(f"{metric.compute():.1f}")
         -0.1
     """
 
@@ -55,7 +55,7 @@ class KID(NetworkMetric):
         ]
         self.style.append(self.inception.vectors(style, size=self.size, rounded=False))
 
-    def compute(self) -> dict[str, Tensor]:
+    def compute(self) -> Tensor:
         stylized, style = stacked(self.stylized), stacked(self.style).unique(dim=0)
         if min(stylized.shape[0], style.shape[0]) < 2:
             warnings.warn(
@@ -63,8 +63,8 @@ class KID(NetworkMetric):
                 "needed, the figure is nan",
                 stacklevel=2,
             )
-            return {"kid": torch.full((), float("nan"), device=stylized.device)}
-        return {"kid": discrepancy(stylized, style).float()}
+            return torch.full((), float("nan"), device=stylized.device)
+        return discrepancy(stylized, style).float()
 
 
 def discrepancy(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) -> Float[Tensor, ""]:

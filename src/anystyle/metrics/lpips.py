@@ -31,7 +31,7 @@ class LPIPS(NetworkMetric, RowMean):
         >>> metric = LPIPS(weights="stand_in", size=None)
         >>> metric.update(images, images)
         >>> metric.compute()
-        {'lpips': tensor(0.)}
+        tensor(0.)
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
@@ -68,7 +68,7 @@ class LPIPSGray(LPIPS):
         >>> primary = torch.eye(3)[[2, 0]].view(2, 3, 1, 1).expand_as(images)  # blue and red, as bright as these
         >>> metric = LPIPSGray(weights="stand_in", size=None)
         >>> metric.update(images, primary)
-        >>> print(f"{metric.compute()['lpips_gray']:.3f}")
+        >>> print(f"{metric.compute():.3f}")
         0.000
     """
 

@@ -20,7 +20,7 @@ class PSNR(RowMean):
     Example:
         >>> metric = PSNR()
         >>> metric.update(torch.full((2, 3, 8, 8), 0.1), torch.zeros(2, 3, 8, 8))
-        >>> print(f"{metric.compute()['psnr']:.3f}")
+        >>> print(f"{metric.compute():.3f}")
         20.000
     """
 

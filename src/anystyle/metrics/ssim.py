@@ -27,7 +27,7 @@ class SSIM(RowMean):
         >>> metric = SSIM()
         >>> metric.update(torch.full((1, 3, 16, 16), 0.1), torch.zeros(1, 3, 16, 16))
         >>> metric.compute()  # the luminance term, 0.01^2 / (0.1^2 + 0.01^2)
-        {'ssim': tensor(0.0099)}
+        tensor(0.0099)
     """
 
     better: ClassVar[Mapping[str, str]] = {"ssim": "higher"}

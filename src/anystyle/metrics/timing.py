@@ -18,7 +18,7 @@ class Timing(RowMean):
         >>> images, metric = torch.zeros(2, 3, 8, 8), Timing()
         >>> metric.update(images, seconds=torch.tensor([1.0, 2.0]))
         >>> metric.compute()
-        {'seconds': tensor(1.5000)}
+        tensor(1.5000)
     """
 
     better: ClassVar[Mapping[str, str]] = {"seconds": "lower"}

@@ -21,11 +21,14 @@ from anystyle.types import Comparison, Views
 
 
 def test_figures_are_declared(plugin: Subject[Metric]) -> None:
-    """``better`` says of each figure whether higher or lower is better, and ``compute`` returns exactly these."""
+    """``better`` says of each figure whether higher or lower is better; ``compute`` returns one, or these by name."""
     better = getattr(plugin.cls, "better", None)
     declared = isinstance(better, Mapping) and better and set(better.values()) <= {"higher", "lower"}
     assert declared, f"better={better!r}; declare a class attribute such as {{'art_fid': 'lower'}}"
     figures = _figures(plugin)
+    with warnings.catch_warnings(action="ignore"):  # of too few images
+        several = isinstance(build(plugin).compute(), dict)
+    assert several == (len(figures) > 1), "`compute` of one figure returns a tensor, for `self.log(name, metric)`"
     assert sorted(figures) == sorted(better or ()), f"`compute` returned {sorted(figures)}, not {sorted(better or ())}"
     for name, value in figures.items():
         scalar = isinstance(value, Tensor) and value.shape == () and value.is_floating_point()
@@ -71,10 +74,7 @@ def test_inputs_are_left_alone(plugin: Subject[Metric]) -> None:
 
 
 def test_the_ideal_is_not_the_worst(plugin: Subject[Metric]) -> None:
-    """By ``better`` the style image is not the worst result where a figure compares with it, nor is the photograph.
-
-    The photographs themselves, in no time, are held to it where the figure reads them, their cameras or the seconds.
-    """
+    """By ``better`` a result that is the style image, or the photograph, is not the worst for what reads that."""
     given, scenes = comparison(2), ToyScenes(size=SIZE)
     assert given.style is not None and given.style.image is not None
     world = Views.cat([scenes.read(scene, range(3)) for scene in range(2)])
@@ -132,4 +132,4 @@ def _update(metric: Metric, rows: Sequence[Comparison]) -> None:
 def _computed(metric: Metric, rows: Sequence[Comparison]) -> dict[str, Tensor]:
     _update(metric, rows)
     with warnings.catch_warnings(action="ignore"):
-        return metric.compute()
+        return metric.figures()
