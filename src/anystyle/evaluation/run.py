@@ -19,7 +19,7 @@ from anystyle.evaluation import plots, record
 from anystyle.evaluation.provenance import foundations
 from anystyle.io.atomic import LOCK, folder_lock, write_json
 from anystyle.io.record import commit, machine, versions
-from anystyle.io.run_folder import refuse_changes
+from anystyle.io.run_folder import RECORD, refuse_changes
 from anystyle.paths import expanded
 from anystyle.pipeline.trained import configured, trained_run
 from anystyle.ranges import checked_seed
