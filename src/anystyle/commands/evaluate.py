@@ -16,7 +16,8 @@ from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 from anystyle.evaluation import run as evaluation
 from anystyle.evaluation.layout import DEFAULTS
-from anystyle.evaluation.run import RUN_OR_IMAGES, Images, configured, trained_runs
+from anystyle.evaluation.run import RUN_OR_IMAGES, Images
+from anystyle.pipeline.trained import configured, trained_runs
 
 
 def parser() -> argparse.ArgumentParser:
