@@ -41,7 +41,7 @@ def read(path):
 def test_files_of_gaussforge_are_read(name, version, tmp_path):
     """It turns no axes: its SPZ files stand on their heads until that is said."""
     gaussforge = pytest.importorskip("gaussforge", reason="the other program is in the group dev")
-    gaussians = scene({"splat": 1, "ksplat": 4}.get(name, 16))
+    gaussians = scene({"splat": 1}.get(name, 16))
     export(gaussians, tmp_path / "scene.ply", "ply")
     theirs = gaussforge.GaussForge().convert((tmp_path / "scene.ply").read_bytes(), "ply", name, spz_version=version)
     (tmp_path / f"theirs.{name}").write_bytes(theirs["data"])
@@ -216,7 +216,7 @@ def test_antialiasing_of_the_training_is_carried(tmp_path, caplog, first, marked
     assert (gzip.decompress((tmp_path / "again.spz").read_bytes())[14] == 1) == marked
     with zipfile.ZipFile(tmp_path / "again.sog") as archive:
         meta = json.loads(archive.read("meta.json"))
-    assert meta["antialias"] == marked and meta["asset"]["copyright"] == "mine"
+    assert meta["antialias"] == marked and meta["asset"]["extras"]["notes"] == ["mine"]
     assert read_saved(tmp_path / "again.ply", SplatOptions(antialiased=not marked)).antialiased != marked
     (tmp_path / "config.yml").write_text("pipeline: !!python/object:some.Model\n  rasterize_mode: antialiased\n")
     assert read_saved(tmp_path / "again.splat").antialiased

@@ -20,8 +20,6 @@ from anystyle.io.documents import regular
 from anystyle.io.limits import require
 from anystyle.io.splats import Offset, Remarks, Splats, near, visible
 
-MAX_DEGREE = 3
-"""The highest degree of harmonics that viewers read; higher coefficients are not written."""
 CHUNK = 256
 """Gaussians that share a row of bounds in a compressed file."""
 _CONSTANT = 0.5 / sqrt(np.pi)
@@ -59,11 +57,11 @@ def write(splats: Splats, path: Path, notes: Sequence[str] = ()) -> None:
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
-    degree = min(_degree(harmonics.shape[1]), MAX_DEGREE)
+    degree = _degree(harmonics.shape[1])
     # Opacities of 0 and 1 and scales of 0 occur; the margins keep their logits and logarithms finite.
     logits = torch.logit(opacities.clamp(1e-6, 1 - 1e-6))[:, None]
     sizes, quaternions = scales.clamp_min(1e-12).log(), torch.nn.functional.normalize(rotations, dim=-1)
-    colors = _flat(harmonics[:, : (degree + 1) ** 2])
+    colors = _flat(harmonics)
     columns = torch.cat([means, torch.zeros_like(means), colors, logits, sizes, quaternions], dim=1)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(degree)])[:, 0]
     with atomic_path(path) as temporary:

@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import replace
+from math import isqrt
 from pathlib import Path
 
 import torch
@@ -39,12 +40,18 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
     visible = {title: each.opacities[0] > 0 for title, each in kept.items()}
     if len({len(rows) for rows in visible.values()}) == 1:  # they stay as many, and what is equal stays equal
         visible = dict.fromkeys(kept, torch.stack(list(visible.values())).any(0))
+    shown, total = int(next(reversed(visible.values())).sum()), last.means.shape[1]
     if not all(bool(rows.any()) for rows in visible.values()):
         raise UserError("the scene has no Gaussians that are visible; there is nothing to export")
     styles = tuple(
         (title, each.map(lambda tensor, rows=visible[title]: tensor[:, rows])) for title, each in kept.items()
     )
-    turned = in_axes(up or writer.up, replace(scene, styles=styles))
+    turned, degree = in_axes(up or writer.up, replace(scene, styles=styles)), isqrt(last.harmonics.shape[2]) - 1
+    if shown < total:
+        _log.warning("%s: %s of %s Gaussians are left out (with opacity 0)", path, f"{total - shown:,}", f"{total:,}")
+    if writer.max_degree is not None and degree > writer.max_degree:
+        line = "%s: harmonics of degree %d to %d are left out, for which the format has no room"
+        _log.warning(line, path, writer.max_degree + 1, degree)
     if any(scene.offset) and not writer.has_offset:
         _log.warning(
             "%s: the format has no room for the offset %s, which its positions lack",

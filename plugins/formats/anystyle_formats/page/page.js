@@ -54,12 +54,12 @@ function quaternion(packed, out) {
 }
 
 function geometry(means, rotations, scales, opacities) {
-  const n = scene.count, [low, high] = scene.scales, q = [1, 0, 0, 0], sigma = [0, 0, 0];
+  const n = scene.count, q = [1, 0, 0, 0], sigma = [0, 0, 0];
   const texels = new Float32Array(4 * 3 * ROW * Math.ceil(n / ROW));
   for (let i = 0; i < n; i++) {
     quaternion(rotations[i], q);
     const [w, x, y, z] = q;
-    for (let k = 0; k < 3; k++) sigma[k] = Math.exp(2 * (low + (high - low) * scales[k * n + i] / 255));
+    for (let k = 0; k < 3; k++) sigma[k] = Math.exp(2 * scene.scales[scales[k * n + i]]);
     const r = [
       [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
       [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
