@@ -39,7 +39,7 @@ class Html(Format):
     View-dependent colour is left out.
     """
 
-    has_notes = many_styles = True
+    has_antialiasing = has_notes = many_styles = True
     shared = ("means", "scales", "opacities")
 
     def write(self, scene: StyledScene, path: Path) -> None:
@@ -69,6 +69,7 @@ def _manifest(scene: StyledScene) -> dict[str, object]:
     cameras = scene.cameras if scene.names else _looking_at(splats.means, splats.opacities)
     return {
         "title": scene.title,
+        "antialiased": scene.antialiased,
         "notes": scene.notes,
         "opening": best_view(splats.means, splats.opacities, cameras),
         "cameras": _cameras(cameras),

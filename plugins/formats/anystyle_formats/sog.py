@@ -24,7 +24,7 @@ from anystyle.io.images import opened, require_pixels
 from anystyle.io.limits import require
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import near
-from anystyle.types import ANTIALIASED, StyledScene
+from anystyle.types import StyledScene
 from anystyle_formats.packing import Columns, columns_of, in_bytes, in_words, morton_order, smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
 
@@ -37,14 +37,14 @@ Encoded = tuple[dict[str, Any], dict[str, bytes]]
 class Sog(Format):
     """SOG, as PlayCanvas reads it: attributes as images in one ZIP file."""
 
-    has_notes = reads = True
+    has_antialiasing = has_notes = reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
         columns = columns_of(scene.splats())
         order = morton_order(columns.means)
         columns = Columns(*(column[order] for column in columns))
         (shape, images), (colors, more) = _encoded_shape(columns), _encoded_colors(columns)
-        asset = {"generator": "anystyle", "copyright": "\n".join(note for note in scene.notes if note != ANTIALIASED)}
+        asset = {"generator": "anystyle", "copyright": "\n".join(scene.notes)}
         meta = {"version": 2, "asset": asset, "count": len(order), "antialias": scene.antialiased, **shape, **colors}
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             for name, data in {"meta.json": json.dumps(meta).encode(), **images, **more}.items():
@@ -56,9 +56,10 @@ class Sog(Format):
             meta = parse_json(_member(archive, file), dict[str, Any], source=str(path), what="SOG file")
             means, *columns = _decoded(archive, PurePosixPath(file).parent, meta, path)
             positions, offset = near(means, remarks)
-            scene = gaussians(remarks, positions, *columns)
+            # As PlayCanvas names it, and splat-transform.
+            mode = bool(meta.get("antialias")) or meta.get("model") == "antialiased"
+            scene = gaussians(remarks, positions, *columns).marked(mode)
             notes = str(meta.get("asset", {}).get("copyright", "")).splitlines()
-            notes += [ANTIALIASED] * bool(meta.get("antialias"))
         return StyledScene(((path.stem, scene),), notes=tuple(notes), offset=offset)
 
 

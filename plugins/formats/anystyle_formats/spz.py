@@ -17,7 +17,7 @@ from anystyle.errors import MissingExtra, UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import Remarks
-from anystyle.types import ANTIALIASED, Gaussians, StyledScene
+from anystyle.types import Gaussians, StyledScene
 from anystyle_formats.packing import columns_of, in_bytes, joined_bits, smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
 
@@ -37,7 +37,7 @@ class Spz(Format):
     """SPZ, as Niantic publishes it: compressed to about a tenth of a PLY file."""
 
     up = "y"
-    reads = True
+    has_antialiasing = reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
         means, rotations, scales, opacities, harmonics = columns_of(scene.splats())
@@ -62,9 +62,8 @@ class Spz(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SPZ file") as remarks:
             data = path.read_bytes()
-            scene, up = decoded(data, remarks), _stated_up(data) or self.up
-            notes = (ANTIALIASED,) if _flags(data) & 1 else ()
-        return StyledScene(((path.stem, scene),), notes=notes, up=up)
+            scene, up = decoded(data, remarks).marked(bool(_flags(data) & 1)), _stated_up(data) or self.up
+        return StyledScene(((path.stem, scene),), up=up)
 
 
 def _flags(data: bytes) -> int:

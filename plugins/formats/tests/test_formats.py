@@ -10,7 +10,7 @@ from anystyle.commands import export as command
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.ply import from_smallest_three
-from anystyle.pipeline.export import export, export_styles
+from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.options import AXES
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
@@ -19,7 +19,7 @@ from anystyle.vision.weights import License, licenses
 from anystyle_formats.packing import smallest_three
 from anystyle_formats.sog import codebook, palette
 from tests.support.export_readers import READERS, SPLAT_TRANSFORM, from_axes, read_with_splat_transform
-from tests.support.export_scene import LEAST, picture, psnr, scene
+from tests.support.export_scene import LEAST, export, picture, psnr, scene
 
 
 @pytest.mark.parametrize("name", READERS)

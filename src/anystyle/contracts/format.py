@@ -23,6 +23,9 @@ class Format(Pluggable, ABC):
     has_offset: ClassVar[bool] = False
     """Whether a file has room for :attr:`~anystyle.types.StyledScene.offset`."""
 
+    has_antialiasing: ClassVar[bool] = False
+    """Whether a file says that its Gaussians are :class:`~anystyle.types.AntialiasedGaussians`."""
+
     many_styles: ClassVar[bool] = False
     """Whether a file has room for several styles."""
     shared: ClassVar[tuple[str, ...]] = ()

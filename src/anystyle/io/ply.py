@@ -29,6 +29,8 @@ _CONSTANT = 0.5 / sqrt(np.pi)
 _RGB = ("red", "green", "blue")
 _HEADER = 1 << 16
 """Bytes that are searched for the end of a header."""
+ANTIALIASED = "SplatRenderMode: mip"
+"""The comment on Gaussians of a training with antialiasing, as gsplat, Brush and splat-transform write it."""
 _ASCII = bytes(value if value < 128 else ord("?") for value in range(256))
 
 
@@ -130,6 +132,11 @@ def comments(path: Path) -> list[str]:
     """The comments of a header, in UTF-8 or else Latin-1."""
     lines = re.findall(rb"^comment +(.*\S)", _header(path).replace(b"\r", b"\n"), re.MULTILINE)
     return [_text(line) for line in lines]
+
+
+def is_antialiased(comment: str) -> bool:
+    """Whether a comment says that the training was with antialiasing."""
+    return comment.lower() == ANTIALIASED.lower()
 
 
 def _header(path: Path) -> bytes:

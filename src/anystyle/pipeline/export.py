@@ -10,10 +10,9 @@ from torch import Tensor
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
-from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
-from anystyle.types import Gaussians, StyledScene
+from anystyle.types import StyledScene
 
 _log = logging.getLogger(__name__)
 _FROM_OPENCV = {
@@ -21,14 +20,6 @@ _FROM_OPENCV = {
     "y": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
     "z": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
 }
-
-
-def export(
-    gaussians: Gaussians, path: Path, name: str, *, up: str | None = None, notes: str = "", offset: Offset = NEAR
-) -> None:
-    """Write one scene in one style, without cameras."""
-    scene = StyledScene(((path.stem, gaussians),), notes=tuple(notes.splitlines()), offset=offset)
-    export_styles(scene, path, name, up=up)
 
 
 def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None = None) -> int:
@@ -60,6 +51,8 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
             path,
             " ".join(f"{each:.17g}" for each in turned.offset),
         )
+    if scene.antialiased and not writer.has_antialiasing:
+        _log.warning("%s: the format cannot say that the scene was trained with antialiasing", path)
     writer.write(turned, path)
     if not writer.has_notes:
         beside = path.with_suffix(path.suffix + ".txt")
