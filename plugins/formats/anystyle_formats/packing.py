@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from anystyle.io.splats import Splats
 
+DEGREE = 3
+"""The highest of harmonics in SPZ and SOG, as their other readers have it."""
+
 
 class Columns(NamedTuple):
     """The arrays of one scene, as :class:`anystyle.types.Gaussians` has its tensors, with unit quaternions."""

@@ -26,7 +26,16 @@ from anystyle.io.limits import require
 from anystyle.io.ply import from_smallest_three
 from anystyle.io.splats import near
 from anystyle.types import StyledScene
-from anystyle_formats.packing import Columns, codebook, columns_of, in_bytes, in_words, morton_order, smallest_three
+from anystyle_formats.packing import (
+    DEGREE,
+    Columns,
+    codebook,
+    columns_of,
+    in_bytes,
+    in_words,
+    morton_order,
+    smallest_three,
+)
 from anystyle_formats.reading import gaussians, reading, room_for
 
 PALETTE = 65_536
@@ -41,7 +50,7 @@ class Sog(Format):
     """SOG, as PlayCanvas reads it: attributes as images in one ZIP file."""
 
     has_antialiasing = has_notes = reads = True
-    max_degree = 3
+    max_degree = DEGREE
 
     def write(self, scene: StyledScene, path: Path) -> None:
         columns = columns_of(scene.splats())
@@ -132,7 +141,7 @@ def _encoded_colors(columns: Columns) -> Encoded:
     book, index = codebook(harmonics[:, 0])
     meta: dict[str, Any] = {"sh0": {"codebook": book.tolist(), "files": ["sh0.webp"]}}
     images = {"sh0.webp": _webp(np.concatenate([index, in_bytes(columns.opacities * 255)[:, None]], 1), width)}
-    degree = min(isqrt(harmonics.shape[1]) - 1, Sog.max_degree)
+    degree = min(isqrt(harmonics.shape[1]) - 1, DEGREE)
     if degree:
         rest = harmonics[:, 1 : (degree + 1) ** 2]
         centroids, labels = palette(rest.reshape(len(rest), -1))

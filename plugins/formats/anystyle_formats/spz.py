@@ -19,7 +19,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import from_smallest_three
 from anystyle.io.splats import Remarks
 from anystyle.types import Gaussians, StyledScene
-from anystyle_formats.packing import columns_of, in_bytes, joined_bits, smallest_three
+from anystyle_formats.packing import DEGREE, columns_of, in_bytes, joined_bits, smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
 
 MAGIC, VERSION = 0x5053474E, 3
@@ -42,11 +42,11 @@ class Spz(Format):
 
     up = "y"
     has_antialiasing = reads = True
-    max_degree = 3
+    max_degree = DEGREE
 
     def write(self, scene: StyledScene, path: Path) -> None:
         means, rotations, scales, opacities, harmonics = columns_of(scene.splats())
-        degree = min(isqrt(harmonics.shape[1]) - 1, self.max_degree)
+        degree = min(isqrt(harmonics.shape[1]) - 1, DEGREE)
         largest = float(np.abs(means).max())
         bits = _fraction_bits(largest)
         if bits < 0:
