@@ -12,15 +12,17 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torchmetrics.image.kid import poly_mmd
 
 from anystyle.contracts import Metric
+from anystyle.errors import UserError
 from anystyle.metrics.art_fid import ArtFID, frechet_distance, frechet_infinity
 from anystyle.metrics.color_match import ColorMatch
 from anystyle.metrics.kid import KID, discrepancy
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.testing.oracle import hashed, smooth_image
+from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
-from anystyle.types import Comparison, Style
+from anystyle.types import Comparison, Flow, Style
 from anystyle.vision import feature_cache
 from anystyle_metrics.clip import ClipDirection, ClipStyle
 from anystyle_metrics.optical_flow.raft import Raft
@@ -242,6 +244,17 @@ def test_frames_are_neighbours_by_their_numbers():
     assert some["warp_rmse_long"] == pytest.approx(other["warp_rmse_short"], rel=1e-6)
     with pytest.raises(ValueError, match="2 views have 1 numbers"):
         found(0, 1, numbers=(0,))
+
+
+@pytest.mark.parametrize("variant", ["reference", "corrected"])
+def test_a_correspondence_of_a_wrong_shape_is_named(variant):
+    class Last(ToyCorrespondence):
+        def __call__(self, source, target):
+            return Flow(torch.zeros(*source.images[:, 0].shape, 2), source.images[:, 0] > 0)
+
+    metric = WarpConsistency(correspondence=Last(), variant=variant, weights="stand_in")
+    with pytest.raises(UserError, match=r"\Agiven the .*correspondence Last.* of shape \[2, 70, 70, 2\]; expected"):
+        metric.update(pictures(styles=1))
 
 
 def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_variant():
