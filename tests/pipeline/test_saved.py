@@ -16,13 +16,13 @@ from anystyle.methods.branch import Branch
 from anystyle.methods.colors import covering_views, fit_colors
 from anystyle.pipeline import saved
 from anystyle.pipeline.encode import BYTES, BYTES_A_PIXEL, encode, require_splat
-from anystyle.pipeline.export import export
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.saved import read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_cpu_renderer.renderer import CpuRenderer
+from tests.support.export_scene import export
 from tests.support.known_scene import photographed_wall, rig, wall
 from tests.support.resident import sampled_peak
 from tests.support.worlds import painting

@@ -1,6 +1,7 @@
 """A saved scene, which is a folder of results or a file of Gaussians: reading it, and cameras and views of it."""
 
 import logging
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
@@ -24,7 +25,7 @@ from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render
 from anystyle.paths import short_names
-from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras
+from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
@@ -48,10 +49,6 @@ DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
-NOT_COMPENSATED = (
-    "renders here do not apply: Gaussians that are thinner than a pixel are too opaque in them. Files that are written "
-    "say that it was, where their format can: PLY, SPZ and SOG"
-)
 COUNTED = 100_000
 """Gaussians, evenly spaced, that tell which axis is up."""
 FLAT, LEVEL = 0.5, 1.5
@@ -59,6 +56,7 @@ FLAT, LEVEL = 0.5, 1.5
 what is flat across the axis that is up as there is across another."""
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
+_AS_IT_SAYS = SplatOptions()
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
 
 
@@ -81,34 +79,32 @@ def unstyled_of(scene: StyledScene) -> Gaussians:
     return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
 
 
-def read_saved(path: Path, up: str | None = None, *, activated: bool = False) -> StyledScene:
+def read_saved(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScene:
     """Read a folder of results, or a file of Gaussians by the plugin of its suffix, and turn it to OpenCV's axes."""
-    return in_axes("opencv", read_unturned(path, up, activated=activated))
+    return in_axes("opencv", read_unturned(path, options))
 
 
-def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> StyledScene:
-    """Read a folder of results, or a file of Gaussians in its own axes, which are ``up`` or what it says.
-
-    ``activated`` files hold lengths and opacities in [0, 1] where their format has logarithms and logits.
-    """
+def read_unturned(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScene:
+    """Read a folder of results, or a file of Gaussians in its own axes; options are for files of other programs."""
     if not path.exists():
         raise UserError(f"there is no file or folder {path}")
     path = file_of(path)
     if path.suffix.lower() == OWN and path.is_file():
         gaussians, folder = read_gaussians(path), path.parent
         if not (folder / "report.json").is_file():
-            return StyledScene(((path.stem, gaussians),), up=up or "opencv")
-        whole = read_unturned(folder, None)
+            return StyledScene(((path.stem, gaussians),), up=options.up or "opencv")
+        whole = read_unturned(folder)
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
     if name := scene_format(path):
-        reader = build(Format, name, activated=activated)
+        reader = build(Format, name, activated=options.activated)
         scene, beside = reader.read(path), path.with_suffix(path.suffix + ".txt")
         more = read_text(beside).splitlines() if beside.is_file() else []
         notes = scene.notes if reader.has_notes and scene.notes else tuple(dict.fromkeys([*scene.notes, *more]))
-        if scene.antialiased:
-            _log.warning("%s was trained with antialiasing, which %s", path, NOT_COMPENSATED)
-        return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
+        mode = (scene.antialiased or _configured(path)) if options.antialiased is None else options.antialiased
+        styles = tuple((title, gaussians.marked(mode)) for title, gaussians in scene.styles)
+        shared = {"up": options.up or scene.up, "photographed": _photographed(_reports_of(path))}
+        return replace(scene, styles=styles, notes=notes, **shared)
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
     whole = _report(path)
@@ -123,13 +119,19 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     first, report = next(iter(reports.items()))
-    cameras, names = own_cameras(first / "cameras.json")
+    stored = own_cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     notes = (made, *weights.license_lines(report.licenses), *report.notes)
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
     pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
     shared = {"offset": whole.offset, "pictures": pictures, "photographed": _photographed([report])}
-    return StyledScene(tuple(styles), cameras, names, notes, **shared)
+    return with_cameras(StyledScene(tuple(styles), notes=notes, **shared), stored)
+
+
+def _configured(path: Path) -> bool:
+    """Whether the configuration of nerfstudio's run beside a file says that it was trained with antialiasing."""
+    file = path.with_name("config.yml")
+    return file.is_file() and re.search(r"^\s*rasterize_mode: antialiased\s*$", read_text(file), re.M) is not None
 
 
 def _report(folder: Path) -> SavedReport:
@@ -160,7 +162,8 @@ def read_gaussians(path: Path) -> Gaussians:
     """Read what :func:`save_gaussians` wrote."""
     try:
         with safe_open(regular(path, most=None), framework="pt") as file:
-            return Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
+            gaussians = Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
+            return gaussians.marked("antialiased" in (file.metadata() or {}))
     except (SafetensorError, OSError) as error:
         raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
 
@@ -197,7 +200,7 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
     """
     path = file_of(path)
     with stages("read", "the Gaussians"):
-        given = read_unturned(path, options.up, activated=options.activated)
+        given = read_unturned(path, options)
         saved = in_axes("opencv", given)
         sees_features = stylizer.branch.gaussian_head is not None
         side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)

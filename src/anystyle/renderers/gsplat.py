@@ -72,6 +72,7 @@ class GsplatRenderer(Rasterizer):
             eps2d=self.eps2d,
             render_mode="RGB+D",
             packed=False,
+            rasterize_mode="antialiased" if gaussians.antialiased else "classic",
             # Computed here, so that quaternions of norm 0 are treated as in the other renderers.
             covars=covariances(rotations, scales),
         )
