@@ -21,8 +21,9 @@ from anystyle.metrics.ssim import SSIM
 from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.testing.toy.metric import ToyMetric
+from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
-from anystyle.types import Comparison, Flow, Style
+from anystyle.types import Comparison, Style
 from anystyle.vision import feature_cache
 from anystyle_metrics.clip import ClipDirection, ClipStyle
 from anystyle_metrics.optical_flow.raft import Raft
@@ -250,11 +251,17 @@ def test_frames_are_neighbours_by_their_numbers():
 def test_a_correspondence_of_a_wrong_shape_is_named(variant):
     class Last(ToyCorrespondence):
         def __call__(self, source, target):
-            return Flow(torch.zeros(*source.images[:, 0].shape, 2), source.images[:, 0] > 0)
+            flow = super().__call__(source, target)
+            object.__setattr__(flow, "displacement", flow.displacement.movedim(1, -1))  # unchecked, as outside of tests
+            return flow
+
+        def displacement(self, source, target):
+            return self(source, target).displacement
 
     metric = WarpConsistency(correspondence=Last(), variant=variant, weights="stand_in")
+    shown, scenes = pictures(styles=1), ToyScenes(num_scenes=1, size=(70, 70)).read(0, range(3))
     with pytest.raises(UserError, match=r"\Agiven the .*correspondence Last.* of shape \[2, 70, 70, 2\]; expected"):
-        metric.update(pictures(styles=1))
+        metric.update(replace(shown, cameras=scenes.cameras, depth=scenes.depth))
 
 
 def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_variant():
