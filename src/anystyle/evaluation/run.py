@@ -146,6 +146,7 @@ def run(
     protocol = build(Protocol, config.protocol, **parts, **sources, inputs=inputs)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named):
+        _refuse_loss(out, config)
         evaluation = protocol.run(out, on_progress)
         provenance = {
             "protocol": plugin.name,
@@ -168,6 +169,23 @@ def run(
     except MissingExtra as error:
         log.warning("no plot: %s", error)
     return written
+
+
+def _refuse_loss(out: Path, config: DictConfig) -> None:
+    """Refuse to replace figures of another variant, or of metrics that are not chosen now."""
+    if (earlier := record.read(out)) is None:
+        return
+    before, remedy = earlier.provenance, "choose another --out, or delete that folder"
+    if before.get("variant") != str(config.variant):
+        raise UserError(f"{out} holds figures of variant={before.get('variant')}, not {config.variant}; {remedy}")
+    if lost := _chosen(before.get("config", {})) - _chosen(config):
+        every = ",".join(sorted(lost | _chosen(config)))
+        raise UserError(f"{out} holds figures that would be lost; add their metrics, metric=[{every}]; or {remedy}")
+
+
+def _chosen(config: Mapping[str, Any]) -> set[str]:
+    """The metrics of a configuration: a variant sets options of others, too."""
+    return {str(name) for name, one in (config.get("metric") or {}).items() if one is not None and "_target_" in one}
 
 
 @contextmanager
@@ -228,8 +246,7 @@ def make_sources(config: DictConfig, named: Mapping[str, bool]) -> dict[str, Any
 
 def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch.device) -> dict[str, Metric]:
     """The metrics that are chosen, with what their constructors name; completes the configuration by it."""
-    # A variant sets options of metrics that may not be among those chosen.
-    chosen = {str(name): one for name, one in config.metric.items() if one is not None and "_target_" in one}
+    chosen = {name: config.metric[name] for name in config.metric if name in _chosen(config)}
     needed = {
         argument: name
         for name, one in chosen.items()
