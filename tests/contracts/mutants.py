@@ -223,6 +223,11 @@ def farther(cameras):
     return replace(cameras, world_from_camera=pose)
 
 
+def longer(cameras):
+    lens = torch.tensor([[1.5, 1.0, 1.0], [1.0, 1.5, 1.0], [1.0, 1.0, 1.0]])
+    return replace(cameras, intrinsics=cameras.intrinsics * lens)
+
+
 def in_fractions(cameras):
     width_height = torch.tensor([cameras.size[1], cameras.size[0], 1.0])
     return replace(cameras, intrinsics=cameras.intrinsics / width_height[:, None])
@@ -335,7 +340,7 @@ class Summed(ToyLoss):
 ROLLED, CONJUGATE = [1, 2, 3, 0], torch.tensor([1.0, -1.0, -1.0, -1.0])
 
 MISPLACED = [
-    *(posed(change) for change in (inverted, opengl, farther, in_fractions)),
+    *(posed(change) for change in (inverted, opengl, farther, in_fractions, longer)),
     lambda views: scale("depth", along_ray(views.cameras))(views),
     lambda views: replace(views, depth=views.depth.log()),
     scale("depth", 1000.0),

@@ -12,13 +12,16 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torchmetrics.image.kid import poly_mmd
 
 from anystyle.contracts import Metric
+from anystyle.errors import UserError
 from anystyle.metrics.art_fid import ArtFID, frechet_distance, frechet_infinity
 from anystyle.metrics.color_match import ColorMatch
 from anystyle.metrics.kid import KID, discrepancy
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.testing.oracle import hashed, smooth_image
+from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.testing.toy.metric import ToyMetric
+from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Comparison, Style
 from anystyle.vision import feature_cache
@@ -242,6 +245,23 @@ def test_frames_are_neighbours_by_their_numbers():
     assert some["warp_rmse_long"] == pytest.approx(other["warp_rmse_short"], rel=1e-6)
     with pytest.raises(ValueError, match="2 views have 1 numbers"):
         found(0, 1, numbers=(0,))
+
+
+@pytest.mark.parametrize("variant", ["reference", "corrected"])
+def test_a_correspondence_of_a_wrong_shape_is_named(variant):
+    class Last(ToyCorrespondence):
+        def __call__(self, source, target):
+            flow = super().__call__(source, target)
+            object.__setattr__(flow, "displacement", flow.displacement.movedim(1, -1))  # unchecked, as outside of tests
+            return flow
+
+        def displacement(self, source, target):
+            return self(source, target).displacement
+
+    metric = WarpConsistency(correspondence=Last(), variant=variant, weights="stand_in")
+    shown, scenes = pictures(styles=1), ToyScenes(num_scenes=1, size=(70, 70)).read(0, range(3))
+    with pytest.raises(UserError, match=r"\Agiven the .*correspondence Last.* of shape \[2, 70, 70, 2\]; expected"):
+        metric.update(replace(shown, cameras=scenes.cameras, depth=scenes.depth))
 
 
 def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_variant():

@@ -9,12 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.contracts import Correspondence, accepts_tensors
-from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.base import NetworkMetric
-from anystyle.types import Comparison, Frames
+from anystyle.types import Comparison, Flow, Frames
+from anystyle.types.shapes import check_tensor, check_value
 from anystyle.vision import lpips, preprocess
 from anystyle.vision.feature_cache import batch_size, digests
 from anystyle.vision.weights import Weights
+from anystyle_metrics.warping import backward_warp, softmax_splat
 
 RANGES = {"short": 1, "long": 7}
 """How many frames lie between the frames of a pair."""
@@ -140,10 +141,16 @@ class WarpConsistency(NetworkMetric):
         for first, second in _batches(frames.images, neighbours):
             source: Frames = frames.map(lambda tensor, batch=first: tensor[batch])
             target: Frames = frames.map(lambda tensor, batch=second: tensor[batch])
-            flow = None if self.reference else self.correspondence(source, target)
-            flows.append(
-                (flow.displacement, flow.visible) if flow else (self.correspondence.displacement(source, target), None)
-            )
+            where = f"the correspondence {type(self.correspondence).__name__}"
+            sizes = dict(zip("MHW", source.images[:, 0].shape, strict=True))
+            if self.reference:
+                displacement = self.correspondence.displacement(source, target)
+                check_tensor(displacement, Float[Tensor, "M 2 H W"], f"the displacement of {where}", **sizes)
+                flows.append((displacement, None))
+            else:
+                flow = self.correspondence(source, target)
+                check_value(flow, Flow, where, **sizes)
+                flows.append((flow.displacement, flow.visible))
         return flows
 
     def _row_means(

@@ -20,7 +20,15 @@ from anystyle import paths
 from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, one_line, unknown
-from anystyle.registry.compose import VERSION_BASE, check_words, choices, override, refused, with_plugins
+from anystyle.registry.compose import (
+    VERSION_BASE,
+    check_choices,
+    check_words,
+    choices,
+    override,
+    refused,
+    with_plugins,
+)
 from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -61,6 +69,8 @@ def launch(
     if out is not None and {"-m", "--multirun"} & {*words}:
         words = [override("hydra.sweep.dir", out), *words]
     check_words(config_name, words)
+    if folder is None:
+        check_choices(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
         raise UserError(f"give only one of {', '.join(MODES)}")
     failures: list[Exception] = []

@@ -15,7 +15,6 @@ from anystyle.cli.launch import main, returned
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.paths import shown
-from anystyle.training.run import train
 
 
 def run(config: DictConfig) -> Any:
@@ -41,6 +40,8 @@ def _run(config: DictConfig, out: Path) -> Any:
         write_hydra_files(config, out)
         if 0 < step < config.trainer.max_steps:
             print(f"resuming from step {step} of {config.trainer.max_steps}", file=sys.stderr, flush=True)
+
+    from anystyle.training.run import train  # Lightning takes seconds, in which a mistyped word is answered
 
     outcome = train(config, out, on_begin)
     if outcome.rank_zero and outcome.finished:

@@ -89,6 +89,14 @@ class Renderer(Pluggable, ABC):
     equal ones the first by name, and gives it the options ``background, near, far, eps2d``. 0: never taken; 1: plain
     PyTorch; 10: the kernels that come with anystyle."""
 
+    @classmethod
+    def lacks(cls) -> str | None:
+        """What it needs and is not on this machine, and what to install, after "the renderer ..."; ``None`` if it runs.
+
+        ``renderer=auto`` asks before it takes one.
+        """
+        return None
+
     @abstractmethod
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""

@@ -66,14 +66,16 @@ def judge_pairing(
             on_progress(Progress.count(stage, next(steps), total))
             yield reader(cell)
 
-    lacking = pairing.lacking()
-    if lacking:
-        log.warning("%s", lacking)
+    told = [pairing.lacking()]
     by_scene: dict[str, list[StylizedImages]] = {}
     for cell in pairing.cells:
         by_scene.setdefault(cell.scene, []).append(cell)
     scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in by_scene.items()}
     on_progress(Progress.count(stage, total, total))
+    if some := reader.transparent:
+        told += [f"{len(some)} stylized images are transparent in places and judged on white, such as {some[0]}"]
+    for line in filter(None, told):
+        log.warning("%s", line)
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
     rows = {(row.scene, row.style): row for row in evaluation.rows}
     for cell in pairing.cells:
@@ -85,7 +87,7 @@ def judge_pairing(
     gaps = ({"scene": row.scene, "style": row.style, "n": row.n, "missing": row.missing} for row in ordered)
     return replace(evaluation, rows=tuple(ordered)).with_facts(
         missing=[gap for gap in gaps if gap["missing"]],
-        warnings=[*([lacking] if lacking else []), *evaluation.provenance["warnings"]],
+        warnings=[*filter(None, told), *evaluation.provenance["warnings"]],
     )
 
 

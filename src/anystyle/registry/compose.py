@@ -98,6 +98,20 @@ def with_plugins(words: Sequence[str]) -> list[str]:
     return [re.sub(r"^(\+*hydra\.searchpath=\[(?!.*anystyle://).+)\]$", r"\1,anystyle://]", word) for word in words]
 
 
+def check_choices(words: Sequence[str]) -> None:
+    """Refuse a choice that a group does not have, before what it would be composed with is imported.
+
+    Choices that folders of one's own may add are left to Hydra.
+    """
+    if any(word.startswith(("-cd", "--config-dir", "--config-path", "-cp", "hydra.searchpath")) for word in words):
+        return
+    for group, _, value in (word.partition("=") for word in words):
+        names = re.fullmatch(r"\[?([\w,-]+)\]?", value)
+        for name in names[1].split(",") if names and group in groups() else ():
+            if name and name not in choices(group):
+                raise UserError(_no_such(group, name, choices(group)))
+
+
 def override(key: str, value: object) -> str:
     """``key=value`` in Hydra's grammar; the value is a text, number, truth value, ``None``, or a sequence of these."""
     return f"{key}={_written(value)}"
