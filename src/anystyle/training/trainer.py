@@ -90,7 +90,6 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     common: list[pl.Callback] = [
         StepSeed(config.seed),
         FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
-        *make_callbacks(config.get("callbacks") or {}),
         LearningRateMonitor(),
         StepThroughput(lambda batch: getattr(batch, "num_images", 1), window_size=20),
         *([SkipOutliers()] if config.skip_outliers else []),
@@ -109,12 +108,12 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
             use_distributed_sampler=False,
             enable_checkpointing=False,
             logger=make_loggers(list(config.loggers), out, str(config.name)),
-            callbacks=[*common, *timer, *callbacks],
+            callbacks=[*common, *timer, *make_callbacks(config.get("callbacks") or {}), *callbacks],
         )
     except UserError:
         raise
     except TypeError as error:
-        raise UserError(f"trainer: {error}; the options are those of lightning's Trainer") from None
+        raise UserError(f"trainer: {error}; the options are those of lightning") from None
     except (MisconfigurationException, ValueError) as error:
         remedy = "" if options.get("accelerator") == "cpu" else "; trainer=cpu does without a graphics card"
         raise UserError(f"trainer: {one_line(error).rstrip('.!')}{remedy}") from None
@@ -126,15 +125,10 @@ CALLBACKS = {"early_stopping": EarlyStop, "device_stats_monitor": DeviceStatsMon
 
 def make_callbacks(given: Mapping[str, Any]) -> list[pl.Callback]:
     """The callbacks of a configuration: the options of each by its name, a key of :data:`CALLBACKS`."""
-    made: list[pl.Callback] = []
-    for name, options in given.items():
+    for name in given:
         if name not in CALLBACKS:
             raise UserError(f"callbacks: {unknown('callback', name, CALLBACKS)}")
-        try:
-            made.append(CALLBACKS[name](**(options or {})))
-        except (TypeError, MisconfigurationException) as error:
-            raise UserError(f"callbacks.{name}: {one_line(error)}; its options are those of lightning's") from None
-    return made
+    return [CALLBACKS[name](**(options or {})) for name, options in given.items()]
 
 
 PixelArray = NDArray[np.uint8]
