@@ -187,8 +187,8 @@ class Forgetful(ToyProtocol):
     def run(self, out, on_progress):
         with (out / "runs").open("a") as file:
             file.write("one\n")
-        figures = {"runs": float(len((out / "runs").read_text().splitlines()))}
-        return replace(super().run(out, on_progress), figures=figures, better={})
+        scores = {"runs": float(len((out / "runs").read_text().splitlines()))}
+        return replace(super().run(out, on_progress), scores=scores, better={})
 
 
 class Careless(ToyFormat):
@@ -386,7 +386,7 @@ MUTANTS = {
         (Summed, "a_batch_has_a_mean"),
     ],
     "metric": [
-        (changed(ToyMetric, "compute", lambda figure: figure.nan_to_num(0)), "too_little_is_not_an_error"),
+        (changed(ToyMetric, "compute", lambda score: score.nan_to_num(0)), "too_little_is_not_an_error"),
         (
             given(ToyMetric, "update", lambda c: replace(c, stylized=c.stylized.clamp_(0.2, 0.8))),
             "inputs_are_left_alone",
@@ -446,7 +446,7 @@ MUTANTS = {
         (changed(ToyTraining, "training_step", lambda loss: loss * 0), "steps_train_what_is_exported"),
     ],
     "protocol": [
-        (changed(ToyProtocol, "run", lambda evaluation: replace(evaluation, figures={})), "figures_are_numbers"),
+        (changed(ToyProtocol, "run", lambda evaluation: replace(evaluation, scores={})), "scores_are_numbers"),
         (Forgetful, "interrupted_runs_resume"),
     ],
     "format": [

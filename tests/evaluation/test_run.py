@@ -25,18 +25,18 @@ def test_images_in_folders_are_judged_from_python(tmp_path, monkeypatch):
     evaluation = anystyle.evaluate(given, **named, on_progress=reported.append)
     # Results are 60 s + 20 t + f, photographs 100 + f, and each style of each scene counts alike.
     expected = sum(20 * math.log10(255 / error) for error in (100, 80, 40, 20)) / 4
-    assert evaluation.figures["psnr"] == pytest.approx(expected, rel=1e-5)
+    assert evaluation.scores["psnr"] == pytest.approx(expected, rel=1e-5)
     assert evaluation.provenance["protocol"] == "folders" and evaluation.missing() == 1
     assert reported[-1] == Progress("judge 4/4", 1.0)
     read = record.read(tmp_path / "evaluation")
-    assert read is not None and read.figures == evaluation.figures
+    assert read is not None and read.scores == evaluation.scores
     with pytest.raises(UserError, match="--stylized is missing"):
         anystyle.evaluate(given, content=named["content"], style=named["style"])
     with pytest.raises(UserError, match="there is no run"):
         anystyle.evaluate(trained=tmp_path / "absent")
 
 
-def test_figures_are_not_lost_nor_judged_by_luck(tmp_path):
+def test_scores_are_not_lost_nor_judged_by_luck(tmp_path):
     content, style, stylized = folders(tmp_path / "in", scenes=("one",), styles=("a",), frames=9)
     with Image.open(stylized / "one" / "a_2.png") as opaque:
         picture = opaque.convert("RGBA")
@@ -51,9 +51,9 @@ def test_figures_are_not_lost_nor_judged_by_luck(tmp_path):
     assert found.provenance["warnings"] == [f"{told}{stylized / 'one' / 'a_2.png'}"]
     with pytest.raises(UserError, match=r"would be lost; add their metrics, metric=\[color_match,psnr,timing\];"):
         judged("metric=[timing]")
-    with pytest.raises(UserError, match="figures of variant=reference, not corrected; choose another --out"):
+    with pytest.raises(UserError, match="scores of variant=reference, not corrected; choose another --out"):
         judged("metric=[psnr,color_match]", "variant=corrected")
-    assert judged("metric=[psnr,color_match,timing]").figures["psnr"] == found.figures["psnr"]
+    assert judged("metric=[psnr,color_match,timing]").scores["psnr"] == found.scores["psnr"]
     for number in range(3, 9):
         (stylized / "one" / f"a_{number}.png").unlink()
     with pytest.raises(UserError, match="3 of 9 views of one are numbered 0 to 2: these may be the first"):

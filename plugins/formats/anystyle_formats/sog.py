@@ -61,6 +61,8 @@ class Sog(Format):
         others = [note for note in scene.notes if note not in rights]
         asset = {"generator": "anystyle", "copyright": "\n".join(rights), "extras": {"notes": others}}
         meta = {"version": 2, "asset": asset, "count": len(order), "antialias": scene.antialiased, **shape, **colors}
+        if scene.antialiased:  # as splat-transform has it, which does not read the other
+            meta["model"] = "antialiased"
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             for name, data in {"meta.json": json.dumps(meta).encode(), **images, **more}.items():
                 archive.writestr(zipfile.ZipInfo(name), data)
@@ -71,7 +73,6 @@ class Sog(Format):
             meta = parse_json(_member(archive, file), dict[str, Any], source=str(path), what="SOG file")
             means, *columns = _decoded(archive, PurePosixPath(file).parent, meta, path)
             positions, offset = near(means, remarks)
-            # As PlayCanvas names it, and splat-transform.
             mode = bool(meta.get("antialias")) or meta.get("model") == "antialiased"
             scene = gaussians(remarks, positions, *columns).marked(mode)
             asset = meta.get("asset", {})

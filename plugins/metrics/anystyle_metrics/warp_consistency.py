@@ -94,7 +94,7 @@ class WarpConsistency(NetworkMetric):
         self.declare(*correspondence.sources)
         self.name_after(self.network.name)
         distances = [f"warp_{self.network.name}_{name}" for name in RANGES]
-        self.declare(*correspondence.sources, self.network.source, figures=distances)
+        self.declare(*correspondence.sources, self.network.source, scores=distances)
         # The photographs' flows of each range, for the next style of the same scene.
         self._content_flows: dict[int, tuple[list[str], Flows]] = {}
         self.add_state("totals", torch.zeros(2, 3, dtype=torch.float64), dist_reduce_fx="sum")
@@ -110,18 +110,18 @@ class WarpConsistency(NetworkMetric):
                     self.rows[index] += 1
 
     def compute(self) -> dict[str, Tensor]:
-        figures: dict[str, Tensor] = {}
+        scores: dict[str, Tensor] = {}
         for index, (name, gap) in enumerate(RANGES.items()):
             if int(self.rows[index]) == 0:
                 warnings.warn(
                     f"warp_consistency: no scene with {gap + 1} frames of which the first and the last see each other; "
-                    f"the {name} range's figures are nan",
+                    f"the {name} range's scores are nan",
                     stacklevel=2,
                 )
             means = (self.totals[index] / self.rows[index]).float()  # nan where there is no row
             for kind, value in zip(("rmse", self.network.name, "coverage"), means, strict=True):
-                figures[f"warp_{kind}_{name}"] = value
-        return {name: figures[name] for name in self.better}
+                scores[f"warp_{kind}_{name}"] = value
+        return {name: scores[name] for name in self.better}
 
     def _flows(self, comparison: Comparison, row: int, gap: int) -> Flows:
         """The flows of the pairs of one row; those of photographs are kept for the next style of the scene."""

@@ -29,7 +29,7 @@ class Run:
     logged: Mapping[str, float] = field(default_factory=dict)
 
     def record(self) -> Evaluation:
-        """Its figures: those of its evaluation, or else what it logged."""
+        """Its scores: those of its evaluation, or else what it logged."""
         stored = None if self.evaluation is None else record.read(self.evaluation)
         return stored or Evaluation(self.logged, n=0)
 

@@ -61,7 +61,7 @@ def job(config: DictConfig, images: "Images | None", folder: Path | None, out: s
     found = evaluation.run(config, target, flags=flags, on_progress=progress_lines())
     print((target / "table.md").read_text(encoding="utf-8"), end="")
     print(f"\nin {target}: {', '.join(path.name for path in sorted(target.iterdir()) if path.is_file())}")
-    return returned(config.objective, found.figures)
+    return returned(config.objective, found.scores)
 
 
 def main(words: Sequence[str] | None = None) -> None:

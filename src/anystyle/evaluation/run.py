@@ -97,7 +97,7 @@ def evaluate(
 
     Example::
 
-        anystyle.evaluate(["protocol=table2", "root=evaluation_and_splits"], out="table2").figures["art_fid"]
+        anystyle.evaluate(["protocol=table2", "root=evaluation_and_splits"], out="table2").scores["art_fid"]
         anystyle.evaluate(["metric=[psnr]"], content="photos", style="styles", stylized="results", out="theirs")
 
     Args:
@@ -172,15 +172,15 @@ def run(
 
 
 def _refuse_loss(out: Path, config: DictConfig) -> None:
-    """Refuse to replace figures of another variant, or of metrics that are not chosen now."""
+    """Refuse to replace scores of another variant, or of metrics that are not chosen now."""
     if (earlier := record.read(out)) is None:
         return
     before, remedy = earlier.provenance, "choose another --out, or delete that folder"
     if before.get("variant") != str(config.variant):
-        raise UserError(f"{out} holds figures of variant={before.get('variant')}, not {config.variant}; {remedy}")
+        raise UserError(f"{out} holds scores of variant={before.get('variant')}, not {config.variant}; {remedy}")
     if lost := _chosen(before.get("config", {})) - _chosen(config):
         every = ",".join(sorted(lost | _chosen(config)))
-        raise UserError(f"{out} holds figures that would be lost; add their metrics, metric=[{every}]; or {remedy}")
+        raise UserError(f"{out} holds scores that would be lost; add their metrics, metric=[{every}]; or {remedy}")
 
 
 def _chosen(config: Mapping[str, Any]) -> set[str]:

@@ -50,8 +50,7 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
     if shown < total:
         _log.warning("%s: %s of %s Gaussians are left out (with opacity 0)", path, f"{total - shown:,}", f"{total:,}")
     if writer.max_degree is not None and degree > writer.max_degree:
-        line = "%s: harmonics of degree %d to %d are left out, for which the format has no room"
-        _log.warning(line, path, writer.max_degree + 1, degree)
+        _log.warning("%s: harmonics above degree %d are left out: it has no room for them", path, writer.max_degree)
     if any(scene.offset) and not writer.has_offset:
         _log.warning(
             "%s: the format has no room for the offset %s, which its positions lack",

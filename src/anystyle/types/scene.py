@@ -124,7 +124,7 @@ class Scene(Value):
 
 
 class Reconstructed(NamedTuple):
-    """A reconstructed scene, and measured figures by name for a report."""
+    """A reconstructed scene, and measured scores by name for a report."""
 
     scene: Scene
     measures: Mapping[str, float]

@@ -38,10 +38,10 @@ def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:
     return Comparison(content.expand(styles, -1, -1, -1, -1), stylized, Style(image))
 
 
-def figure(metric: Metric, *comparisons: Comparison) -> float:
+def score(metric: Metric, *comparisons: Comparison) -> float:
     for comparison in comparisons:
         metric.update(comparison)
-    (value,) = metric.figures().values()
+    (value,) = metric.scores().values()
     return float(value)
 
 
@@ -52,18 +52,18 @@ def test_psnr_and_ssim_agree_with_scikit_image():
         for a, b in zip(given.content.flatten(0, 1), given.stylized.flatten(0, 1), strict=True)
     ]
     noise = np.mean([peak_signal_noise_ratio(a, b, data_range=1) for a, b in pairs])
-    np.testing.assert_allclose(figure(PSNR(), given), noise, rtol=1e-5)
+    np.testing.assert_allclose(score(PSNR(), given), noise, rtol=1e-5)
     options = {"channel_axis": 2, "data_range": 1, "gaussian_weights": True, "sigma": 1.5}
     both = [
         structural_similarity(a, b, use_sample_covariance=False, win_size=11, full=True, **options)[1] for a, b in pairs
     ]
-    np.testing.assert_allclose(figure(SSIM(), given), np.mean([x[5:-5, 5:-5] for x in both]), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(score(SSIM(), given), np.mean([x[5:-5, 5:-5] for x in both]), rtol=0, atol=1e-6)
 
 
 def test_equal_images_are_as_good_as_it_gets():
     same = replace(pictures(), stylized=pictures().content.contiguous())
-    assert figure(PSNR(), same) == 100
-    assert figure(SSIM(), same) == pytest.approx(1)
+    assert score(PSNR(), same) == 100
+    assert score(SSIM(), same) == pytest.approx(1)
 
 
 def test_kid_agrees_with_torchmetrics():
@@ -122,17 +122,17 @@ def test_directions_and_similarities_are_cosines():
     encoder = ToyStyleEncoder().requires_grad_(False).eval()
     given = pictures(styles=1, frames=2)
     toward = replace(given, style=Style(given.stylized[:, 0]), stylized=given.stylized[:, :1].expand(-1, 2, -1, -1, -1))
-    assert figure(ClipStyle(style_encoder=encoder, size=None), toward) == pytest.approx(1, abs=1e-5)
+    assert score(ClipStyle(style_encoder=encoder, size=None), toward) == pytest.approx(1, abs=1e-5)
     before, after = (encoder.embed_images(images[0]) for images in (given.content, given.stylized))
     wanted = encoder.embed_images(given.style.image) - encoder.embed_texts([encoder.neutral])
     expected = torch.nn.functional.cosine_similarity(after - before, wanted).mean()
-    assert figure(ClipDirection(style_encoder=encoder, size=None), given) == pytest.approx(float(expected), abs=1e-5)
+    assert score(ClipDirection(style_encoder=encoder, size=None), given) == pytest.approx(float(expected), abs=1e-5)
 
 
-def test_stand_ins_are_named_by_figure():
+def test_stand_ins_are_named_by_score():
     metric = ArtFID(weights="stand_in")
-    by_figure = dict.fromkeys(("fid", "fid_infinity"), "texture_moments") | {"lpips": "texture_distance"}
-    assert metric.stand_ins == {"art_fid": "texture_moments, texture_distance", **by_figure}
+    by_score = dict.fromkeys(("fid", "fid_infinity"), "texture_moments") | {"lpips": "texture_distance"}
+    assert metric.stand_ins == {"art_fid": "texture_moments, texture_distance", **by_score}
     assert [len(digest) for digest in metric.weights.values()] == [64]
     with pytest.raises(FileNotFoundError, match="weights 'art_inception' are missing"):
         ArtFID(weights="published")
@@ -144,7 +144,7 @@ def test_one_style_only_has_a_value_and_a_warning():
     with pytest.warns(UserWarning, match="one style image only"):
         assert metric.compute()["fid"] > 0
     with pytest.warns(UserWarning, match="3 stylized and 1 distinct style images"):
-        assert np.isnan(figure(KID(weights="stand_in"), pictures(styles=1)))
+        assert np.isnan(score(KID(weights="stand_in"), pictures(styles=1)))
 
 
 def test_few_images_are_warned_of():
@@ -238,7 +238,7 @@ def test_frames_are_neighbours_by_their_numbers():
         rows = given.content[:, list(views)], given.stylized[:, list(views)]
         metric.update(Comparison(*rows, numbers=numbers))
         with warnings.catch_warnings(action="ignore"):  # of a range without pairs
-            return {name: float(value) for name, value in metric.figures().items()}
+            return {name: float(value) for name, value in metric.scores().items()}
 
     some, one, other = found(0, 1, 2, 3, numbers=(0, 1, 3, 7)), found(0, 1), found(0, 3)
     assert some["warp_rmse_short"] == pytest.approx(one["warp_rmse_short"], rel=1e-6)
