@@ -7,7 +7,7 @@ from anystyle.__main__ import available
 from anystyle.registry.catalog import kinds
 
 ROOT = Path(__file__).parent.parent
-LINES = {"src": 13_500, "plugins": 17_150, "tests": 22_000}
+LINES = {"src": 13_500, "plugins": 17_300, "tests": 22_100}
 """Lines of code at most; tests are those of plugins, too."""
 
 KINDS, COMMANDS = 19, 13
