@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from PIL import Image
 
 pytest_plugins = ("tests.support.browser",)
@@ -21,6 +22,9 @@ os.environ["NUMBA_NUM_THREADS"] = "1"
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 gc.disable()
+# How long a draw or an example takes depends on what else the machine does.
+settings.register_profile("anystyle", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("anystyle")
 
 
 def pytest_collection_finish() -> None:

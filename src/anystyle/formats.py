@@ -8,7 +8,7 @@ import torch
 
 from anystyle.contracts import Format
 from anystyle.io import ply
-from anystyle.types import ANTIALIASED, Cameras, Gaussians, StyledScene
+from anystyle.types import Cameras, Gaussians, StyledScene
 
 _UP = {"opencv": (0.0, -1.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -23,7 +23,7 @@ class Ply(Format):
         activated: Whether files that are read hold lengths and opacities in [0, 1] in place of logarithms and logits.
     """
 
-    has_notes = has_offset = reads = True
+    has_antialiasing = has_notes = has_offset = reads = True
 
     def __init__(self, *, activated: bool = False) -> None:
         self.activated = activated
@@ -37,12 +37,9 @@ class Ply(Format):
         offsets = {note: match for note in notes if (match := re.fullmatch(rf"offset([xyz])\s+({_NUMBER})", note))}
         said = {match[1]: float(match[2]) for match in offsets.values()}
         x, y, z = (moved + said.get(axis, 0.0) for axis, moved in zip("xyz", loaded.offset, strict=True))
-        others = tuple(
-            ANTIALIASED if note.lower() == ANTIALIASED.lower() else note
-            for note in notes
-            if note not in axes and note not in offsets
-        )
-        gaussians = Gaussians(*(tensor[None] for tensor in loaded.splats))
+        modes = list(filter(ply.is_antialiased, notes))
+        others = tuple(note for note in notes if note not in (*axes, *offsets, *modes))
+        gaussians = Gaussians(*(tensor[None] for tensor in loaded.splats)).marked(bool(modes))
         scene = StyledScene(
             ((path.stem, gaussians),), notes=others, up=_axes(axes[-1] if axes else ""), offset=(x, y, z)
         )
@@ -55,10 +52,10 @@ class Ply(Format):
 
 
 def comments(scene: StyledScene) -> list[str]:
-    """The comments of a file: notes, axes, and the offset if there is one."""
+    """The comments of a file: notes, how it was trained, axes, and the offset if there is one."""
     offset = [f"offset{axis} {value:.17g}" for axis, value in zip("xyz", scene.offset, strict=True)]
     axes = "Vertical axis: " + " ".join(f"{part:g}" for part in _UP[scene.up])
-    return [*scene.notes, axes, *(offset if any(scene.offset) else [])]
+    return [*scene.notes, *[ply.ANTIALIASED] * scene.antialiased, axes, *(offset if any(scene.offset) else [])]
 
 
 def _axes(comment: str) -> str:

@@ -2,7 +2,7 @@
 
 ``python -m tests.benchmarks.published head CHECKOUT`` takes a checkout of the network's repository, fills the published
 network with hashed weights in fp32 and writes them as its checkpoint, which both networks load strictly, each in a
-process of its own. They take turns on the CPU and never run at once. It prints a table and writes the figures as JSON.
+process of its own. They take turns on the CPU and never run at once. It prints a table and writes the scores as JSON.
 
 The networks need ``pip install einops``; what is only imported, or cannot run on the CPU, is replaced
 (``published_stand_ins.py``). Nothing is rendered. Seconds are of CPU time, memory is the largest resident set of each
@@ -166,7 +166,7 @@ def differences(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str,
 
 
 def measure(case: Case, views: int, size: tuple[int, int], rounds: int) -> dict[str, Any]:
-    """All figures, from rounds in which both take turns, each round with another scene and another style."""
+    """All scores, from rounds in which both take turns, each round with another scene and another style."""
     context, pipes, steps = multiprocessing.get_context("spawn"), {}, {}
     for build in (published, ours):  # the first writes the file
         name = build.__name__
@@ -213,7 +213,7 @@ def measure(case: Case, views: int, size: tuple[int, int], rounds: int) -> dict[
 
 
 def table(found: Mapping[str, Any]) -> str:
-    """The figures in Markdown."""
+    """The scores in Markdown."""
     seconds = {key: statistics.median(values) for key, values in found["CPU seconds"].items()}
     memory = {key: value / 2**30 for key, value in found["peak bytes"].items()}
     whole, differs = seconds["published single"], dict(found["differences"])

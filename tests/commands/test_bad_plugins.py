@@ -1,6 +1,7 @@
 """Bad plugins in use, by the program as people start it: one line that says what is wrong with which, and status 2."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,9 @@ from textwrap import dedent
 import numpy as np
 import pytest
 from PIL import Image
+
+from anystyle.cli.run import name_plugin
+from anystyle.registry.catalog import Plugin
 
 ROOT = Path(__file__).parents[2]
 TOY = """
@@ -78,6 +82,40 @@ def ended(tmp_path_factory) -> dict[str, tuple[int, str]]:
         (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.backbone"]\n{line}\n')
     command = [sys.executable, "-c", RUN, str(root), WORDS, *BAD]
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
+
+
+class Idle:
+    """A plugin that is not at work."""
+
+
+class Broken(Idle):
+    def forward(self):
+        return helper()
+
+
+def helper():
+    return [][0]
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (
+            lambda: Broken().forward(),
+            r"loss 'broken' .*test_bad_plugins\.py, line \d+\); `anystyle plugins check loss",
+        ),
+        (helper, r"it was raised in the package tests \(test_bad_plugins\.py, line \d+\)\Z"),
+    ],
+)
+def test_an_error_is_blamed_on_the_plugin_at_work(call, told, monkeypatch):
+    names = ("Idle", "Broken")
+    rows = [Plugin("loss", name.lower(), f"tests.commands:{name}", "the package lab") for name in names]
+    monkeypatch.setattr("anystyle.registry.catalog.catalog", lambda: rows)
+    with pytest.raises(IndexError) as caught:
+        call()
+    name_plugin(caught.value)
+    (note,) = caught.value.__notes__
+    assert re.match(told, note)
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -86,7 +86,7 @@ def test_missing_images_are_refused_or_said_in_every_table(tmp_path, capsys):
     run(*given, "missing=allow")
     shown = capsys.readouterr()
     assert told in shown.out
-    assert "| figure   | all (7 missing) | one (4 missing) | two (3 missing) |" in shown.out
+    assert "| score    | all (7 missing) | one (4 missing) | two (3 missing) |" in shown.out
     assert "n = 11 of 18" in shown.out
     known = metrics("out")["provenance"]
     assert known["missing"][0] == {"scene": "one", "style": "a", "n": 2, "missing": 1}
@@ -148,7 +148,7 @@ def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_pat
     assert "choose another --out, or delete that folder" in told
 
 
-def test_figures_of_stand_in_networks_say_so_in_every_table(tmp_path, capsys):
+def test_scores_of_stand_in_networks_say_so_in_every_table(tmp_path, capsys):
     given = flags(*folders(tmp_path / "in", scenes=("one",), styles=("a",), frames=2))
     for path in sorted((tmp_path / "in").rglob("*.png")):
         noise = np.random.default_rng(len(path.name)).integers(0, 255, (48, 48, 3), dtype=np.uint8)

@@ -187,8 +187,8 @@ class Forgetful(ToyProtocol):
     def run(self, out, on_progress):
         with (out / "runs").open("a") as file:
             file.write("one\n")
-        figures = {"runs": float(len((out / "runs").read_text().splitlines()))}
-        return replace(super().run(out, on_progress), figures=figures, better={})
+        scores = {"runs": float(len((out / "runs").read_text().splitlines()))}
+        return replace(super().run(out, on_progress), scores=scores, better={})
 
 
 class Careless(ToyFormat):
@@ -221,6 +221,11 @@ def farther(cameras):
     pose = cameras.world_from_camera.clone()
     pose[..., :3, 3] *= 2
     return replace(cameras, world_from_camera=pose)
+
+
+def longer(cameras):
+    lens = torch.tensor([[1.5, 1.0, 1.0], [1.0, 1.5, 1.0], [1.0, 1.0, 1.0]])
+    return replace(cameras, intrinsics=cameras.intrinsics * lens)
 
 
 def in_fractions(cameras):
@@ -335,7 +340,7 @@ class Summed(ToyLoss):
 ROLLED, CONJUGATE = [1, 2, 3, 0], torch.tensor([1.0, -1.0, -1.0, -1.0])
 
 MISPLACED = [
-    *(posed(change) for change in (inverted, opengl, farther, in_fractions)),
+    *(posed(change) for change in (inverted, opengl, farther, in_fractions, longer)),
     lambda views: scale("depth", along_ray(views.cameras))(views),
     lambda views: replace(views, depth=views.depth.log()),
     scale("depth", 1000.0),
@@ -381,7 +386,7 @@ MUTANTS = {
         (Summed, "a_batch_has_a_mean"),
     ],
     "metric": [
-        (changed(ToyMetric, "compute", lambda figure: figure.nan_to_num(0)), "too_little_is_not_an_error"),
+        (changed(ToyMetric, "compute", lambda score: score.nan_to_num(0)), "too_little_is_not_an_error"),
         (
             given(ToyMetric, "update", lambda c: replace(c, stylized=c.stylized.clamp_(0.2, 0.8))),
             "inputs_are_left_alone",
@@ -441,7 +446,7 @@ MUTANTS = {
         (changed(ToyTraining, "training_step", lambda loss: loss * 0), "steps_train_what_is_exported"),
     ],
     "protocol": [
-        (changed(ToyProtocol, "run", lambda evaluation: replace(evaluation, figures={})), "figures_are_numbers"),
+        (changed(ToyProtocol, "run", lambda evaluation: replace(evaluation, scores={})), "scores_are_numbers"),
         (Forgetful, "interrupted_runs_resume"),
     ],
     "format": [

@@ -16,7 +16,7 @@ def test_the_examples_run():
         for language, body in FENCE.findall(TEXT):
             if language == "python":
                 exec(body, known)
-        assert set(known["figures"]) >= {"SSIM", "LPIPS", "art_fid", "style_retrieval"}
+        assert set(known["scores"]) >= {"SSIM", "LPIPS", "art_fid", "style_retrieval"}
         assert 0 < known["match"].compute() < 1
         assert known["warp"].compute()["warp_rmse_short"] < 1e-6
 

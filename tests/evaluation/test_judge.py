@@ -1,4 +1,4 @@
-"""Figures of rows, scenes and all: each image is seen once, and nothing bad passes in silence."""
+"""Scores of rows, scenes and all: each image is seen once, and nothing bad passes in silence."""
 
 import warnings
 from collections import Counter
@@ -31,14 +31,14 @@ def test_rows_scenes_and_all_are_what_a_metric_says_of_them(tmp_path):
         return pytest.approx(float(metric.compute()), rel=1e-6)
 
     assert [(row.scene, row.style) for row in found.rows] == [(cell.scene, cell.style) for cell in cells]
-    assert [row.figures["change"] for row in found.rows] == [alone(row) for row in comparisons]
+    assert [row.scores["change"] for row in found.rows] == [alone(row) for row in comparisons]
     assert found.groups["scene one"]["change"] == alone(*comparisons[:2])
     assert found.groups["scene two"]["change"] == alone(*comparisons[2:])
     scenes = [found.groups[f"scene {name}"]["change"] for name in ("one", "two")]
-    assert found.figures == {"change": pytest.approx(sum(scenes) / 2)}
+    assert found.scores == {"change": pytest.approx(sum(scenes) / 2)}
     assert found.n == 12 and found.better == {"change": "lower"}
     mixed = judge_pairing({"toy": ToyMetric()}, Pairing((*cells[::2], *cells[1::2])), silent)
-    assert {name: dict(figures) for name, figures in mixed.groups.items()} == found.groups
+    assert {name: dict(scores) for name, scores in mixed.groups.items()} == found.groups
 
 
 def test_warnings_of_metrics_are_kept_once_and_not_those_of_rows():
@@ -58,8 +58,8 @@ def test_warnings_of_metrics_are_kept_once_and_not_those_of_rows():
 
 
 @pytest.mark.parametrize("call", [("update", 1), ("update", 2), ("compute", 1), ("compute", 2), ("compute", 3)])
-def test_a_metric_that_raises_takes_no_figures_of_the_others(call):
-    """The third time, figures are computed for the scene."""
+def test_a_metric_that_raises_takes_no_scores_of_the_others(call):
+    """The third time, scores are computed for the scene."""
 
     class Fragile(Mean):
         def __init__(self):
@@ -114,15 +114,15 @@ def test_nothing_and_sizes_that_differ_are_refused():
         judge({"toy": ToyMetric()}, [given])
 
 
-def test_a_scene_without_a_figure_is_told():
+def test_a_scene_without_a_score_is_told():
     class Half(Mean):
         def compute(self):
-            figures = super().compute()
-            return figures if self.seen[-1][0] == "scene_0" else {"mean": torch.tensor(float("nan"))}
+            scores = super().compute()
+            return scores if self.seen[-1][0] == "scene_0" else {"mean": torch.tensor(float("nan"))}
 
     given = comparison(2, 2)
     found = judge({"half": Half()}, [row_of(given, 0), row_of(given, 1)])
-    assert found.figures["mean"] == found.groups["scene scene_0"]["mean"]
+    assert found.scores["mean"] == found.groups["scene scene_0"]["mean"]
     assert found.provenance["warnings"] == [
         "mean is the mean over the scenes without scene_1, which have too little for it"
     ]

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from PIL import Image
 
 import anystyle
 from anystyle.cli.progress import progress_lines
@@ -24,15 +25,39 @@ def test_images_in_folders_are_judged_from_python(tmp_path, monkeypatch):
     evaluation = anystyle.evaluate(given, **named, on_progress=reported.append)
     # Results are 60 s + 20 t + f, photographs 100 + f, and each style of each scene counts alike.
     expected = sum(20 * math.log10(255 / error) for error in (100, 80, 40, 20)) / 4
-    assert evaluation.figures["psnr"] == pytest.approx(expected, rel=1e-5)
+    assert evaluation.scores["psnr"] == pytest.approx(expected, rel=1e-5)
     assert evaluation.provenance["protocol"] == "folders" and evaluation.missing() == 1
     assert reported[-1] == Progress("judge 4/4", 1.0)
     read = record.read(tmp_path / "evaluation")
-    assert read is not None and read.figures == evaluation.figures
+    assert read is not None and read.scores == evaluation.scores
     with pytest.raises(UserError, match="--stylized is missing"):
         anystyle.evaluate(given, content=named["content"], style=named["style"])
     with pytest.raises(UserError, match="there is no run"):
         anystyle.evaluate(trained=tmp_path / "absent")
+
+
+def test_scores_are_not_lost_nor_judged_by_luck(tmp_path):
+    content, style, stylized = folders(tmp_path / "in", scenes=("one",), styles=("a",), frames=9)
+    with Image.open(stylized / "one" / "a_2.png") as opaque:
+        picture = opaque.convert("RGBA")
+    picture.putpixel((0, 0), (0, 0, 0, 0))
+    picture.save(stylized / "one" / "a_2.png")
+
+    def judged(*words):
+        return anystyle.evaluate(words, content=content, style=style, stylized=stylized, out=tmp_path / "out")
+
+    found = judged("metric=[psnr,color_match]")
+    told = "1 stylized images are transparent in places and judged on white, such as "
+    assert found.provenance["warnings"] == [f"{told}{stylized / 'one' / 'a_2.png'}"]
+    with pytest.raises(UserError, match=r"would be lost; add their metrics, metric=\[color_match,psnr,timing\];"):
+        judged("metric=[timing]")
+    with pytest.raises(UserError, match="scores of variant=reference, not corrected; choose another --out"):
+        judged("metric=[psnr,color_match]", "variant=corrected")
+    assert judged("metric=[psnr,color_match,timing]").scores["psnr"] == found.scores["psnr"]
+    for number in range(3, 9):
+        (stylized / "one" / f"a_{number}.png").unlink()
+    with pytest.raises(UserError, match="3 of 9 views of one are numbered 0 to 2: these may be the first"):
+        judged("metric=[psnr,color_match,timing]", "missing=allow")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from anystyle.evaluation import record
 from anystyle.evaluation.tables import STAND_IN, Table, escape_latex, escape_markdown, number
 
 FOUND = Evaluation(
-    figures={"art_fid": 30.125, "change": 0.25, "warp": math.nan},
+    scores={"art_fid": 30.125, "change": 0.25, "warp": math.nan},
     n=8,
     better={"art_fid": "lower", "change": "lower"},
     groups={"scene Train": {"art_fid": 20.0, "change": 0.2}, "scene M60": {"art_fid": 40.25, "change": 0.3}},
@@ -32,7 +32,7 @@ def test_what_is_written_is_read_again(tmp_path):
     cells = [(row["scene"], row["style"], row["art_fid"], row["change"]) for row in rows]
     assert cells == [("Train", "00", "1.0", "0.1"), ("Train", "a,b", "", "")]
     read = record.read(tmp_path)
-    assert read.figures["art_fid"] == 30.125 and math.isnan(read.figures["warp"])
+    assert read.scores["art_fid"] == 30.125 and math.isnan(read.scores["warp"])
     assert read.scenes == {"Train": {"art_fid": 20.0, "change": 0.2}, "M60": {"art_fid": 40.25, "change": 0.3}}
     assert read.stand_ins == {"art_fid": "texture"} and read.better["change"] == "lower"
 
@@ -44,7 +44,7 @@ def test_every_form_names_the_stand_ins(tmp_path):
     lines = (tmp_path / "table.md").read_text().splitlines()
     said = {line.split("|")[1].strip(): line for line in lines if line.startswith("| ")}
     assert STAND_IN in said["art_fid ↓"] and STAND_IN not in said["change ↓"]
-    plain = Evaluation(figures={"change": 0.25}, n=1)
+    plain = Evaluation(scores={"change": 0.25}, n=1)
     record.write(plain, tmp_path, KNOWN)
     assert all(STAND_IN not in (tmp_path / name).read_text() for name in ("metrics.csv", "table.md", "table.tex"))
 
@@ -54,7 +54,7 @@ def test_what_is_no_evaluation_is_told_apart(tmp_path):
     (tmp_path / "metrics.json").write_text('{"train/loss": 0.5}')
     assert record.read(tmp_path) is None
     (tmp_path / "metrics.json").write_text('{"train/loss": 0.5')
-    with pytest.raises(ValueError, match=r"metrics\.json is not a valid file of figures; evaluate again"):
+    with pytest.raises(ValueError, match=r"metrics\.json is not a valid file of scores; evaluate again"):
         record.read(tmp_path)
 
 
@@ -82,8 +82,8 @@ def test_markdown_shows_texts_literally_and_leaves_plain_ones_alone():
     assert escape_markdown("warp_rmse ↓ (1 + 2) [1] a=[b,c]") == "warp_rmse ↓ (1 + 2) [1] a=[b,c]"
 
 
-def test_words_stand_at_the_left_and_figures_at_the_right():
-    made = Table(("figure", "all", "note"), (("fid ↓", "1.5 ± 0.1", "stand-in"), ("psnr ↑", "–", "")), notes=("“all”",))
+def test_words_stand_at_the_left_and_scores_at_the_right():
+    made = Table(("score", "all", "note"), (("fid ↓", "1.5 ± 0.1", "stand-in"), ("psnr ↑", "–", "")), notes=("“all”",))
     assert made.markdown().splitlines()[1] == "|--------|----------:|----------|"
     assert r"\begin{tabular}{lrl}" in made.latex() and "``all''" in made.latex()
 

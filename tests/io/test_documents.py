@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_array, read_arrays, read_tensors
-from anystyle.io.documents import as_figure, as_number, plain, read_json, read_text, read_toml, read_yaml, regular
+from anystyle.io.documents import as_number, plain, read_json, read_text, read_toml, read_yaml, regular, stored_number
 
 
 @dataclass(frozen=True)
@@ -136,4 +136,4 @@ def test_a_flipped_byte_of_a_tensor_is_noticed(tmp_path):
 def test_every_number_survives_json(value):
     again = as_number(json.loads(json.dumps(plain({"a": [value]}), allow_nan=False))["a"][0])
     assert again == value or (math.isnan(again) and math.isnan(value))
-    assert as_figure(1.5) == 1.5
+    assert stored_number(1.5) == 1.5

@@ -14,6 +14,7 @@ from anystyle.errors import UserError
 from anystyle.formats import comments
 from anystyle.io import ply
 from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.options import SplatOptions
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians
@@ -156,12 +157,12 @@ def test_activated_values_are_told_and_read_when_that_is_said(tmp_path, caplog):
     assert "1 of 300 Gaussians are left out (1 with an infinite" in rows  # the exponential of 300
     assert "scales look like lengths and opacities like fractions" in guess and "splat.activated=true" in guess
     caplog.clear()
-    found = read_saved(path, activated=True).styles[0][1]
+    found = read_saved(path, SplatOptions(activated=True)).styles[0][1]
     assert not caplog.messages
     np.testing.assert_array_equal(found.scales[0, :, 1], values["scale_1"].astype(np.float32))
     np.testing.assert_array_equal(found.opacities[0], values["opacity"].astype(np.float32))
     with pytest.raises(UserError, match="leave that out"):
-        read_saved(write_ply(tmp_path / "logarithms.ply", columns()), activated=True)
+        read_saved(write_ply(tmp_path / "logarithms.ply", columns()), SplatOptions(activated=True))
 
 
 @pytest.mark.parametrize("name", ["ply", "splat", "ksplat", "spz", "sog", "html"])

@@ -1,4 +1,4 @@
-"""Every metric against the figures of the published scripts, on the same filled networks."""
+"""Every metric against the scores of the published scripts, on the same filled networks."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def comparisons():
 
 def judged(metric):
     each = [metric(comparison) for comparison in comparisons()]
-    return metric.figures(), each
+    return metric.scores(), each
 
 
 @pytest.mark.parametrize("backbone", ["alex", "vgg"])
@@ -74,7 +74,7 @@ def test_art_fid_end_to_end():
         (lambda: ArtScore(weights="published", variant="corrected"), None, "artscore_square_resize"),
     ],
 )
-def test_one_figure_an_image(make, key, each):
+def test_one_score_an_image(make, key, each):
     found, rows = judged(make())
     (value,) = found.values()
     if key:
@@ -99,7 +99,7 @@ def test_structural_distance():
 
 
 def test_structural_distance_end_to_end():
-    # Similarities of this network are nearly flat: the published figure is rounding in its second digit.
+    # Similarities of this network are nearly flat: the published score is rounding in its second digit.
     found, _ = judged(CFSD(weights="published"))
     np.testing.assert_allclose(float(found["cfsd"]), END_TO_END["cfsd"], rtol=5e-2)
 

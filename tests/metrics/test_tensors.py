@@ -33,7 +33,7 @@ def given():
 
 def computed(metric):
     with warnings.catch_warnings(action="ignore"):  # of few images
-        return metric.compute() if isinstance(metric, torchmetrics.MetricCollection) else metric.figures()
+        return metric.compute() if isinstance(metric, torchmetrics.MetricCollection) else metric.scores()
 
 
 @pytest.mark.parametrize("name", catalog().names("metric"))
@@ -71,9 +71,9 @@ def test_one_update_of_a_collection_serves_all():
             names = inspect.signature(type(metric).update).parameters
             rest = {"style": STYLE} if "style" in names else {}
             alone.update(PREDS, **({"target": TARGET} if "target" in names else {}), **rest)
-            figures = computed(alone)
-            for name, value in figures.items():
-                torch.testing.assert_close(found[name if len(figures) > 1 else type(metric).__name__], value)
+            scores = computed(alone)
+            for name, value in scores.items():
+                torch.testing.assert_close(found[name if len(scores) > 1 else type(metric).__name__], value)
 
 
 def test_metrics_that_agree_at_first_are_not_one():
@@ -89,7 +89,7 @@ def test_metrics_that_agree_at_first_are_not_one():
     assert float(together.compute()["small"]) == pytest.approx(float(alone.compute()))
 
 
-def test_a_call_gives_the_figures_of_what_it_took_in():
+def test_a_call_gives_the_scores_of_what_it_took_in():
     metric = PSNR()
     black = torch.zeros(2, 3, 8, 8)
     assert metric(black, black + 0.1) == pytest.approx(20)

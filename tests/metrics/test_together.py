@@ -41,9 +41,9 @@ def rows():
     return found
 
 
-def figures(metric):
+def scores(metric):
     with warnings.catch_warnings(action="ignore"):  # of few images, which is no matter here
-        return {name: float(value) for name, value in metric.figures().items()}
+        return {name: float(value) for name, value in metric.scores().items()}
 
 
 def _process(rank, count, port, folder):
@@ -59,7 +59,7 @@ def _process(rank, count, port, folder):
         with torch.no_grad(), warnings.catch_warnings(action="ignore"):
             for row in taken:
                 metric.update(row)
-        found[key] = figures(metric)
+        found[key] = scores(metric)
     torch.save(found, Path(folder) / f"{rank}.pt")
     torch.distributed.destroy_process_group()
 
@@ -93,7 +93,7 @@ def alone(tmp_path_factory):
 
 @pytest.mark.parametrize("name", METRICS)
 def test_two_processes_say_what_one_does(name, by_two, alone):
-    expected = figures(alone[name])
+    expected = scores(alone[name])
     # The sum over processes has another order.
     for found in by_two:
         assert found[name] == pytest.approx(expected, rel=1e-5, abs=1e-7, nan_ok=True)
@@ -107,6 +107,6 @@ def test_two_processes_say_what_one_does(name, by_two, alone):
 def test_a_metric_draws_itself(name, alone):
     plt.switch_backend("agg")
     with warnings.catch_warnings(action="ignore"):
-        figure, axes = alone[name].plot()
+        score, axes = alone[name].plot()
     assert {line.get_label() for line in axes.get_lines()} >= set(alone[name].better)
-    plt.close(figure)
+    plt.close(score)

@@ -16,7 +16,7 @@ DECIBELS = 20.0, 13.9794  # of each step
 
 
 class Validated(pl.LightningModule):
-    """Logs a metric, a collection of some and one with several figures."""
+    """Logs a metric, a collection of some and one with several scores."""
 
     def __init__(self):
         super().__init__()
@@ -33,7 +33,7 @@ class Validated(pl.LightningModule):
         self.fid.update(preds, target, target)
 
     def on_validation_epoch_end(self):
-        self.log_dict(self.fid.figures())
+        self.log_dict(self.fid.scores())
 
 
 @pytest.mark.filterwarnings("ignore")

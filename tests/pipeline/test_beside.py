@@ -11,6 +11,7 @@ from anystyle.commands import export, film, stylize
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.pipeline.beside import cameras_beside, with_stored_cameras
+from anystyle.pipeline.options import SplatOptions
 from anystyle.pipeline.request import SavedScene, inputs_of
 from anystyle.pipeline.saved import read_saved, read_unturned
 from tests.pipeline.test_saved import RENDERER, transforms
@@ -20,8 +21,9 @@ SHORT = ["views.short_side=28", "splat.cameras=2", "video.frames=2"]
 
 
 def renders(path, up=None):
-    given = read_unturned(path, up)
-    scene = with_stored_cameras(read_saved(path, up), path, own_up=given.up)
+    options = SplatOptions(up=up)
+    given = read_unturned(path, options)
+    scene = with_stored_cameras(read_saved(path, options), path, own_up=given.up)
     return RENDERER(scene.styles[-1][1], scene.cameras).color[0]
 
 
@@ -39,7 +41,7 @@ def test_cameras_of_nerfstudio_are_moved_into_the_frame_of_its_export(tmp_path):
         assert (renders(tmp_path / "splat.ply") - images).abs().max() < 0.01
         data = PlyData.read(tmp_path / "splat.ply")
         PlyData(list(data.elements), comments=["Vertical Axis: z"]).write(tmp_path / "newer.ply")
-        assert read_unturned(tmp_path / "newer.ply", None).up == "z"
+        assert read_unturned(tmp_path / "newer.ply").up == "z"
         assert (renders(tmp_path / "newer.ply") - images).abs().max() < 0.01
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps({"transform": frame[:2].tolist(), "scale": 1}))
     with pytest.raises(UserError, match=r"dataparser_transforms\.json"):

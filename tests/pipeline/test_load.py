@@ -10,7 +10,7 @@ from anystyle.contracts import Placement
 from anystyle.errors import UserError
 from anystyle.io.checkpoint import read_header, save_part
 from anystyle.methods.branch import Branch
-from anystyle.pipeline.load import branch_header, load_model
+from anystyle.pipeline.load import branch_header, default_device, load_model
 from anystyle.pipeline.request import Request
 from anystyle.registry.catalog import PluginError
 from anystyle.registry.compose import compose
@@ -134,3 +134,14 @@ def test_a_backbone_that_needs_cameras_is_given_them():
         anystyle.stylize(replace(views, cameras=None), "deep blue", model=stylizer)
     with pytest.raises(UserError, match=r"\ANeedsCameras needs the cameras of its views, which have none; poses=known"):
         anystyle.stylize(views, "deep blue", model=stylizer, poses=anystyle.PoseOptions("predicted"))
+
+
+def test_a_card_that_does_not_compute_is_said_and_the_cpu_taken(monkeypatch, caplog):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+
+    def full(*size: int, device: str) -> torch.Tensor:
+        raise torch.OutOfMemoryError(f"{device} out of memory")
+
+    monkeypatch.setattr(torch, "ones", full)
+    assert default_device() == torch.device("cpu")
+    assert "the graphics card is not used, and the CPU computes (cuda out of memory)" in caplog.text

@@ -1,6 +1,7 @@
 """One value for what is asked for: from the command line and back, through a report and a second run."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ import torch
 import anystyle
 from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
 from anystyle.errors import UserError
+from anystyle.io.checkpoint import read_header
+from anystyle.pipeline.load import weights_file
 from anystyle.pipeline.request import InMemory, Photographs, SavedScene, inputs_of
 from anystyle.pipeline.words import args_of, recorded, request
 from anystyle.types import Views
@@ -116,3 +119,21 @@ def test_what_the_inputs_are_is_decided_once(tmp_path):
 def test_a_result_of_something_in_memory_has_no_request(photographs, tmp_path):
     (result,) = anystyle.stylize(photographs, "dots", model=anystyle.load(), views=ViewOptions(56, take=2))
     assert result.report["request"] is None
+
+
+def test_a_training_is_named_by_its_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for job in ("sweep/0", "sweep/1"):
+        Path(job).mkdir(parents=True)
+        shutil.copy(weights_file("tiny_branch"), Path(job) / "branch.safetensors")
+        Path(job, "bound.json").write_text(json.dumps({"weights.backbone": "other", "seed": 0}))
+    Path("a.png").touch()
+    asked = request(["a.png", "--text", "ink", "--run", "sweep/1", "views.take=2"])
+    header = read_header(weights_file("tiny_branch")).config
+    assert asked.config.weights == {"backbone": "other", "branch": "sweep/1/branch.safetensors"}
+    assert asked.config.backbone == header["backbone"] and asked.config.injector == header["injector"]
+    assert request(args_of(asked)) == asked
+    with pytest.raises(UserError, match="sweep holds 2 trainings; name one of them, such as sweep/0"):
+        _ = request(["a.png", "--text", "ink", "run=sweep"]).config
+    with pytest.raises(UserError, match="there is no run absent"):
+        _ = request(["a.png", "--text", "ink", "--run=absent"]).config

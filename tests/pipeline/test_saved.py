@@ -16,13 +16,13 @@ from anystyle.methods.branch import Branch
 from anystyle.methods.colors import covering_views, fit_colors
 from anystyle.pipeline import saved
 from anystyle.pipeline.encode import BYTES, BYTES_A_PIXEL, encode, require_splat
-from anystyle.pipeline.export import export
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.results import Restyler
 from anystyle.pipeline.saved import read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_cpu_renderer.renderer import CpuRenderer
+from tests.support.export_scene import export
 from tests.support.known_scene import photographed_wall, rig, wall
 from tests.support.resident import sampled_peak
 from tests.support.worlds import painting
@@ -113,7 +113,7 @@ def test_cameras_that_are_stored_see_what_they_saw(tmp_path):
     wall().save(tmp_path / "scene.ply")
     transforms(tmp_path, cameras)
     seen, sources, origin = saved.cameras_of(
-        tmp_path / "scene.ply", alone(wall()), ViewOptions(short_side=40), SplatOptions(cameras=5), 8, 224
+        tmp_path / "scene.ply", alone(wall()), ViewOptions(short_side=40), SplatOptions(cameras=5), RENDERER, 8, 224
     )
     assert origin == "stored" and [source.name for source in sources] == list("01234")
     assert seen.size == (40, 48)
@@ -129,7 +129,7 @@ def test_cameras_around_a_scene_see_it_whole(tmp_path):
     scene = replace(scene, **{**parts, "means": far})
     scene.opacities[0, -1] = 0.01
     seen, sources, origin = saved.cameras_of(
-        tmp_path / "scene.ply", alone(scene), ViewOptions(), SplatOptions(cameras=6), 14, 112
+        tmp_path / "scene.ply", alone(scene), ViewOptions(), SplatOptions(cameras=6), RENDERER, 14, 112
     )
     assert origin == "chosen" and len(sources) == 6 and seen.size == (112, 112)
     with torch.no_grad():
@@ -137,6 +137,21 @@ def test_cameras_around_a_scene_see_it_whole(tmp_path):
     border = torch.cat([alpha[:, 0], alpha[:, -1], alpha[:, :, 0], alpha[:, :, -1]], dim=1)
     # The wall is 4 wide: seen from its edge it is a line, from everywhere it lies inside of the image.
     assert alpha.amax((1, 2)).min() > 0.9 and border.mean() < 0.2
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+def test_cameras_around_a_scene_face_what_a_wall_hides(turned):
+    """Half of a full ring would stand behind it, or beside it."""
+    behind, front = wall(), torch.tensor([0.0, 0.0, 0.6])
+    ornament = replace(behind, means=behind.means * 0.4 - front, scales=0.4 * behind.scales)
+    detail = replace(behind, means=behind.means * 0.2 - 2 * front, scales=0.2 * behind.scales)
+    scene = Gaussians.cat([behind, ornament, detail], dim=1)
+    scene = replace(scene, means=scene.means * torch.tensor([turned, 1.0, turned]))
+    eyes = saved.facing(scene, 12, 64, RENDERER).world_from_camera[0, :, :3, 3]
+    assert 4 <= len(eyes) <= 12 and bool((turned * eyes[:, 2] < -0.5 * eyes[:, 0].abs()).all())
+    ball = replace(behind, means=torch.nn.functional.normalize(torch.randn(1, 1089, 3), dim=2))
+    eyes = saved.facing(ball, 12, 64, RENDERER).world_from_camera[0, :, :3, 3]
+    assert len(eyes) == 12 and float(eyes[:, [0, 2]].mean(0).norm()) < 1 and len(set(eyes[:6, 1].round().tolist())) == 2
 
 
 def test_harmonics_that_are_kept_are_taken_into_account():
@@ -262,6 +277,6 @@ def test_cameras_that_are_chosen_are_told_with_what_is_taken_for_up(tmp_path, ca
     scene, path = alone(floor(normal)), tmp_path / "scene.ply"
     for up, own, expected in ((None, "opencv", told), ("z", "z", ""), (None, "y", ""), ("opencv", "opencv", "")):
         caplog.clear()
-        saved.cameras_of(path, scene, ViewOptions(), SplatOptions(cameras=2, up=up), 14, 56, own)
+        saved.cameras_of(path, scene, ViewOptions(), SplatOptions(cameras=2, up=up), RENDERER, 14, 56, own)
         assert "no cameras are in scene.ply or beside it: 2 are chosen around the scene" in caplog.text
         assert expected in caplog.text and ("splat.up" in caplog.text) == bool(expected)

@@ -1,5 +1,7 @@
 """The renderer that chooses another by the device."""
 
+from importlib.util import find_spec
+
 import pytest
 import torch
 
@@ -7,8 +9,10 @@ from anystyle.contracts import Renderer
 from anystyle.registry import catalog as registry
 from anystyle.registry.catalog import Plugin, PluginError, catalog, plugin
 from anystyle.renderers.auto import AutoRenderer, best_renderer
+from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle_cpu_renderer.renderer import CpuRenderer
+from tests.support.elsewhere import There, elsewhere
 from tests.support.scenes import cameras, gaussians
 
 
@@ -26,17 +30,53 @@ def test_it_renders_with_the_options_given() -> None:
     assert torch.equal(AutoRenderer(**options)(scene, views).color, CpuRenderer(**options)(scene, views).color)
 
 
-def test_devices_without_kernels_get_plain_pytorch() -> None:
-    assert [best_renderer(device) for device in ("cpu", "cuda", "mps")] == ["cpu", "gsplat", "torch"]
+def test_devices_without_kernels_are_served_by_the_cpu(undecided: None, caplog: pytest.LogCaptureFixture) -> None:
+    assert best_renderer("cpu") == ("cpu", "cpu") and not caplog.text
+    assert best_renderer("mps") == ("cpu", "cpu")
+    assert "takes cpu, on the CPU, with copies from mps and back: no faster renderer is for mps" in caplog.text
 
 
-def test_a_renderer_of_higher_priority_is_chosen_on_its_devices(undecided: None) -> None:
+@pytest.mark.parametrize(
+    ("missing", "expected"), [(None, ("gsplat", "cuda")), ("is not installed: pip install it", ("cpu", "cpu"))]
+)
+def test_a_card_without_gsplat_is_no_trap(undecided: None, monkeypatch, caplog, missing, expected) -> None:
+    monkeypatch.setattr(GsplatRenderer, "lacks", classmethod(lambda cls: missing))
+    assert best_renderer("cuda") == expected
+    assert ("takes cpu, on the CPU, with copies from cuda and back: gsplat is not installed" in caplog.text) == bool(
+        missing
+    )
+
+
+@pytest.mark.skipif(find_spec("gsplat") is not None, reason="gsplat is installed")
+def test_what_gsplat_lacks_is_named() -> None:
+    assert GsplatRenderer.lacks() == 'is not installed: pip install "anystyle[gpu]"'
+    assert CpuRenderer.lacks() is None
+
+
+def test_tensors_of_another_device_are_rendered_on_the_cpu_and_stay_there(undecided: None) -> None:
+    scene, views, expected = gaussians(1, 50), cameras(1, 2, (20, 30)), CpuRenderer()
+    given, pixels = torch.rand(50, 3), torch.rand(3, 20, 30)
+    view = expected.linear_view(scene, views.select([0]))
+    with torch.no_grad(), elsewhere() as device:
+        renders = AutoRenderer()(scene.to(device), views.to(device))
+        assert isinstance(renders.color, There) and torch.equal(renders.color.inner, expected(scene, views).color)
+        there = AutoRenderer().linear_view(scene.to(device), views.select([0]).to(device))
+        assert there is not None and isinstance(there.background, There)
+        for result, value in (
+            (there(given.to(device)), view(given)),
+            (there.transposed(pixels.to(device)), view.transposed(pixels)),
+        ):
+            assert isinstance(result, There) and torch.equal(result.inner, value)
+
+
+def test_a_renderer_of_higher_priority_is_chosen_on_its_devices(undecided: None, monkeypatch) -> None:
     class Mine(TorchRenderer):
         devices = ("cpu", "mps")
         priority = 11
 
+    monkeypatch.setattr(GsplatRenderer, "lacks", classmethod(lambda cls: None))
     plugin("renderer", "mine")(Mine)
-    assert [best_renderer(device) for device in ("cpu", "cuda", "mps")] == ["mine", "gsplat", "mine"]
+    assert [best_renderer(device) for device in ("cpu", "mps")] == [("mine", "cpu"), ("mine", "mps")]
     scene, views = gaussians(1, 20), cameras(1, 1, (8, 8))
     assert torch.equal(AutoRenderer()(scene, views).color, TorchRenderer()(scene, views).color)
 
@@ -52,19 +92,17 @@ def test_a_renderer_that_sets_no_priority_or_cannot_be_imported_is_not_chosen(
     load = Plugin.load
 
     def broken(self: Plugin) -> type:
-        if self.name == "gsplat":
+        if self.name in ("gsplat", "cpu"):
             raise PluginError("it cannot be imported")
         return load(self)
 
     monkeypatch.setattr(Plugin, "load", broken)
-    assert best_renderer("cpu") == "cpu" and best_renderer("cuda") == "torch"
+    assert best_renderer("cpu") == ("torch", "cpu") and best_renderer("cuda") == ("torch", "cuda")
     assert "renderer=auto skips gsplat" in caplog.text
     assert issubclass(catalog().find("renderer", "a_mine").load(), Renderer)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat needs a CUDA device")
 def test_on_cuda() -> None:
-    from anystyle.renderers.gsplat import GsplatRenderer
-
     scene, views = gaussians(1, 100).to("cuda"), cameras(1, 2, (20, 30)).to("cuda")
     assert torch.equal(AutoRenderer()(scene, views).color, GsplatRenderer()(scene, views).color)

@@ -58,17 +58,21 @@ def objective(renders: Renders) -> Tensor:
 
 
 @pytest.mark.parametrize("renderer", [CpuRenderer, cuda])
-@pytest.mark.parametrize(("degree", "size"), [(0, (37, 29)), (1, (16, 48)), (4, (33, 20))])
-def test_agrees_with_the_specification(renderer: Any, degree: int, size: tuple[int, int]) -> None:
-    scene, views = gaussians(2, 250, degree), cameras(2, 3, size)
+@pytest.mark.parametrize(
+    ("degree", "size", "antialiased"),
+    [(0, (37, 29), False), (1, (16, 48), False), (4, (33, 20), False), (1, (16, 48), True)],
+)
+def test_agrees_with_the_specification(renderer: Any, degree: int, size: tuple[int, int], antialiased: bool) -> None:
+    scene, views = gaussians(2, 250, degree).marked(antialiased), cameras(2, 3, size)
     exact = TorchRenderer()(scene.to(torch.float64), views.to(torch.float64)).to(torch.float32)
     assert_same(render(renderer, scene, views), exact, atol=2e-5)
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize(("degree", "size"), [(0, (37, 29)), (3, (16, 48)), (4, (33, 20))])
-def test_gradients_agree_with_the_specification(degree: int, size: tuple[int, int]) -> None:
+def test_gradients_agree_with_the_specification(degree: int, size: tuple[int, int], antialiased: bool) -> None:
     """Of the Gaussians, the poses and the intrinsics; half of the Gaussians lie outside of the frustum or behind it."""
-    scene, views = gaussians(2, 300, degree, seed=3), cameras(2, 2, size, distance=1.0)
+    scene, views = gaussians(2, 300, degree, seed=3).marked(antialiased), cameras(2, 2, size, distance=1.0)
     *inputs, leaves = with_gradients(scene.to(torch.float64), views.to(torch.float64))
     expected = torch.autograd.grad(objective(TorchRenderer(near=0.05)(*inputs)), leaves)
     *inputs, leaves = with_gradients(scene, views)
@@ -82,18 +86,32 @@ def test_gradients_agree_with_the_specification(degree: int, size: tuple[int, in
     torch.testing.assert_close(torch.autograd.grad(objective(renders), harmonics)[0], actual[4])
 
 
-def test_gradients_of_the_specification() -> None:
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_gradients_of_the_specification(antialiased: bool) -> None:
     """Against finite differences, where the image is smooth: no Gaussian is near the least alpha."""
     scene, views = gaussians(1, 3, 2, dtype=torch.float64), cameras(1, 1, (2, 3), dtype=torch.float64)
     scene = replace(scene, scales=scene.scales + 1.5, opacities=0.3 + 0.3 * scene.opacities)
 
     def image(*leaves: Tensor) -> Tensor:
         seen = Cameras(leaves[5], leaves[6], views.size)
-        renders = TorchRenderer(background=(0.2, 0.4, 0.6))(Gaussians(*leaves[:5]), seen)
+        renders = TorchRenderer(background=(0.2, 0.4, 0.6))(Gaussians(*leaves[:5]).marked(antialiased), seen)
         return torch.cat([renders.color.flatten(), renders.depth.flatten(), renders.alpha.flatten()])
 
     *_, leaves = with_gradients(scene, views)
     assert torch.autograd.gradcheck(image, leaves, eps=1e-6, atol=1e-6, fast_mode=True)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_antialiased_gaussians_lose_what_a_pixel_s_filter_adds(renderer: Any) -> None:
+    """Of 0.1 pixels² and opacity 0.9: 0.9 sqrt(0.1² / 0.4²), which gsplat's mode of this name draws."""
+    pose, intrinsics = torch.eye(4)[None, None], torch.tensor([[[[8.0, 0.0, 4.5], [0.0, 8.0, 4.5], [0.0, 0.0, 1.0]]]])
+    scale, turn = torch.full((1, 1, 3), math.sqrt(0.1) / 4), torch.tensor([[[1.0, 0.0, 0.0, 0.0]]])
+    scene = Gaussians(torch.tensor([[[0.0, 0.0, 2.0]]]), turn, scale, torch.tensor([[0.9]]), torch.zeros(1, 1, 1, 3))
+    for antialiased, alpha in ((False, 0.9), (True, 0.225)):
+        shown = render(renderer, scene.marked(antialiased), Cameras(pose, intrinsics, (9, 9)))
+        assert float(shown.alpha[0, 0, 4, 4]) == pytest.approx(alpha, abs=1e-4)
+        flat = replace(scene.marked(antialiased), scales=scale * torch.tensor([1.0, 0.0, 1.0]))
+        assert bool(render(renderer, flat, Cameras(pose, intrinsics, (9, 9))).alpha.any()) != antialiased
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)

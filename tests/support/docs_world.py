@@ -39,8 +39,8 @@ def make(folder: Path) -> None:
     _data_sets(folder)
     torch.manual_seed(0)
     torch.save(training_checkpoint("head"), folder / "anystyle_head.ckpt")
-    figures = {"method": "another", "source": "us", "table": "Table 1", "figures": {"art_fid": {"Train": 30.0}}}
-    rows = {"about": "Ours.", "sources": {"us": "our own table"}, "rows": [figures]}
+    scores = {"method": "another", "source": "us", "table": "Table 1", "scores": {"art_fid": {"Train": 30.0}}}
+    rows = {"about": "Ours.", "sources": {"us": "our own table"}, "rows": [scores]}
     (folder / "rows.json").write_text(json.dumps(rows))
 
 

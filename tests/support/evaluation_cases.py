@@ -16,13 +16,13 @@ class Mean(Metric):
     better: ClassVar[dict[str, str]] = {"mean": "higher"}
     full_state_update = False
 
-    def __init__(self, figure="mean", stand_in=None):
+    def __init__(self, score="mean", stand_in=None):
         super().__init__()
-        if figure != "mean":
-            self.better = {figure: "higher"}
-        self.figure = figure
+        if score != "mean":
+            self.better = {score: "higher"}
+        self.score = score
         if stand_in:
-            self.stand_ins = {figure: stand_in}
+            self.stand_ins = {score: stand_in}
         self.seen = []
         self.add_state("values", [], dist_reduce_fx="cat")
 
@@ -32,7 +32,7 @@ class Mean(Metric):
 
     def compute(self):
         values = torch.cat([value.reshape(-1) for value in self.values]) if self.values else torch.zeros(0)
-        return {self.figure: values.mean()}
+        return {self.score: values.mean()}
 
 
 def picture(path: Path, value, size=(12, 8)):

@@ -5,8 +5,9 @@ from functools import cache
 import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.pipeline.export import export_styles
 from anystyle.renderers.torch import TorchRenderer
-from anystyle.types import Cameras, Gaussians
+from anystyle.types import Cameras, Gaussians, StyledScene
 
 SIZE = (60, 80)
 LEAST = {"ply": 80, "ksplat": 45, "spz": 36, "sog": 34, "splat": 36}
@@ -31,6 +32,12 @@ def scene(coefficients=4, count=400):
         opacities=(0.2 + 0.75 * torch.rand(count, generator=generator))[None],
         harmonics=harmonics[None],
     )
+
+
+def export(gaussians, path, name, *, up=None, notes="", offset=(0.0, 0.0, 0.0)):
+    """Write one scene in one style, without cameras."""
+    styled = StyledScene(((path.stem, gaussians),), notes=tuple(notes.splitlines()), offset=offset)
+    return export_styles(styled, path, name, up=up)
 
 
 def camera():

@@ -41,7 +41,7 @@ def test_distances_are_those_of_the_published_package(backbone):
 
 @installed
 @pytest.mark.parametrize("backbone", BACKBONES)
-def test_files_have_the_stated_checksum_and_figures_name_them(backbone):
+def test_files_have_the_stated_checksum_and_scores_name_them(backbone):
     name = f"st_lpips_{backbone}"
     assert weights.verified(name, weights.find(name))
     source = lpips.load(backbone).source
@@ -95,13 +95,13 @@ def test_distortions_are_ordered_as_people_see_them():
 
 
 @installed
-def test_figures_bear_its_name():
+def test_scores_bear_its_name():
     metrics = [ArtFID(), LPIPSGray(size=None), WarpConsistency(correspondence=ToyCorrespondence())]
     names = [["st_lpips"], ["st_lpips_gray"], ["warp_st_lpips_short", "warp_st_lpips_long"]]
     for metric, own in zip(metrics, names, strict=True):
         metric.update(comparison(2, 8 if len(own) == 2 else 2))
-        assert [name for name in metric.figures() if "lpips" in name] == own
-        assert metric.figures().keys() == metric.better.keys()
+        assert [name for name in metric.scores() if "lpips" in name] == own
+        assert metric.scores().keys() == metric.better.keys()
         assert all("st_lpips" in metric.stand_ins[name] for name in own)
     assert metrics[0].stand_ins["art_fid"] == "texture_moments, st_lpips"
     assert ArtFID(weights="stand_in").better == ArtFID.better

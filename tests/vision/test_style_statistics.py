@@ -100,7 +100,7 @@ def test_scenes_that_show_their_painting_are_found_and_others_not(network, paint
         crops = paintings.roll(shift, 0)[:, None, :, 20:148, 10:138].expand(-1, 2, -1, -1, -1)
         style = Style(image=paintings)
         metric.update(Comparison(content=crops, stylized=crops, style=style, scenes=("one",) * 4))
-        assert {name: float(value) for name, value in metric.figures().items()} == {
+        assert {name: float(value) for name, value in metric.scores().items()} == {
             "style_retrieval": expected,
             "style_retrieval_gray": expected,
         }
@@ -118,7 +118,7 @@ def test_each_style_is_found_or_not_among_all_that_are_to_be_told_apart(network,
             for index, crop in enumerate(crops)
         )
         found[shown] = judge_scene({"retrieval": metric}, rows)["retrieval"]
-    assert [figures.figures["style_retrieval"] for figures in found.values()] == [1.0, 0.0]
+    assert [scores.scores["style_retrieval"] for scores in found.values()] == [1.0, 0.0]
     assert [row["style_retrieval_gray"] for row in found[0, 1].styles.values()] == [1.0, 1.0]
     assert [row["style_retrieval"] for row in found[2, 3].styles.values()] == [0.0, 0.0]
 

@@ -14,7 +14,7 @@ from anystyle.cli.arguments import new_parser, parse
 from anystyle.errors import UserError, unknown
 from anystyle.evaluation.tables import Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json
-from anystyle.io.documents import Figure, as_figure, as_number
+from anystyle.io.documents import Number, as_number, stored_number
 from anystyle_benchmark.judge import GUIDES
 from anystyle_benchmark.results import Figures, read_figures
 from anystyle_benchmark.statistics import CONFIDENCE, arranged, difference
@@ -33,12 +33,12 @@ class Compared(Struct, frozen=True):
     second: str
     guide: str
     figure: str
-    means: tuple[Figure, Figure]
-    difference: Figure
-    low: Figure
-    high: Figure
-    pvalue: Figure
-    holm: Figure
+    means: tuple[Number, Number]
+    difference: Number
+    low: Number
+    high: Number
+    pvalue: Number
+    holm: Number
     n: int
     better: str = ""
 
@@ -86,8 +86,8 @@ def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:
                 both = ~np.isnan(first) & ~np.isnan(second)
                 if both.any():
                     gap = difference(first, second)
-                    mean, low, high, pvalue = map(as_figure, gap[:4])
-                    means = as_figure(float(first[both].mean())), as_figure(float(second[both].mean()))
+                    mean, low, high, pvalue = map(stored_number, gap[:4])
+                    means = stored_number(float(first[both].mean())), stored_number(float(second[both].mean()))
                     found.append(Compared(*pair, guide, figure, means, mean, low, high, pvalue, None, gap.n))
         if len(found) == before:
             raise UserError(f"{' and '.join(pair)} have no score in the same cell; leave one of them out")
@@ -100,7 +100,7 @@ def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:
 def _decided(one: Compared, adjusted: float, better: str) -> Compared:
     ahead = (as_number(one.difference) > 0) == (better == "higher")
     name = (one.first if ahead else one.second) if adjusted <= 1 - CONFIDENCE else ""
-    return msgspec.structs.replace(one, holm=as_figure(adjusted), better=name)
+    return msgspec.structs.replace(one, holm=stored_number(adjusted), better=name)
 
 
 def sentences(found: Sequence[Compared]) -> list[str]:

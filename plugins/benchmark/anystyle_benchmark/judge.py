@@ -34,7 +34,7 @@ from anystyle.evaluation.pairing import CAMERAS, StylizedImages
 from anystyle.evaluation.run import make_metrics
 from anystyle.io.arrays import read_arrays
 from anystyle.io.atomic import atomic_path, write_json
-from anystyle.io.documents import Figure, as_figure, as_number, kept_json, read_json
+from anystyle.io.documents import Number, as_number, kept_json, read_json, stored_number
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import runtime_arguments
@@ -74,8 +74,8 @@ class Judged(Struct, frozen=True):
     """A metric's figures of each style and of all of a scene; ``key`` hashes what they were computed from."""
 
     key: str
-    styles: dict[str, dict[str, Figure]]
-    scene: dict[str, Figure]
+    styles: dict[str, dict[str, Number]]
+    scene: dict[str, Number]
 
 
 class Unit(NamedTuple):
@@ -91,7 +91,7 @@ class Found(NamedTuple):
     """The cells of a unit, the figures of its styles together, what made the images, and lines to be told."""
 
     rows: list[CellFigures]
-    scene: dict[str, Figure]
+    scene: dict[str, Number]
     origins: dict[str, Origin]
     lines: list[str]
 
@@ -125,7 +125,7 @@ class Judge:
         ]
         scenes = [scene.name for scene in self.inputs.track.scenes]
         rows: dict[Unit, list[CellFigures]] = {}
-        wholes: dict[Unit, dict[str, Figure]] = {}
+        wholes: dict[Unit, dict[str, Number]] = {}
         origins, said = dict[str, Origin](), set[str]()
         in_order = sorted(units, key=lambda unit: scenes.index(unit.scene))  # features of its photographs are kept
         on_progress(Progress.count("judge", 0, len(units)))
@@ -213,14 +213,14 @@ class Judge:
         kept = {name: judged for name, judged in kept.items() if name not in missing}
         for name, new in self._new(missing, unit, list(images), lines).items():
             styles = {style: _rounded(figures) for style, figures in new.styles.items()}
-            kept[name] = Judged(keys[name], styles, _rounded(new.figures))
+            kept[name] = Judged(keys[name], styles, _rounded(new.scores))
         if missing:
             write_json(file, msgspec.to_builtins(kept))
         return [kept[name] for name in names if name in kept]
 
     def _new(
         self, names: Sequence[str], unit: Unit, styles: Sequence[str], lines: list[str]
-    ) -> dict[str, loop.SceneFigures]:
+    ) -> dict[str, loop.SceneScores]:
         """The metric loop; metrics that raise are left out and told."""
         scene = self.inputs.scene(unit.scene)
         why = "" if scene.geometry else " (the track has no geometry of this scene)"
@@ -364,7 +364,7 @@ def _row(
     return TableRow(method, guide, len(states), len(states) - states.count("done"), means)
 
 
-def _together(rows: Sequence[CellFigures], scene: Mapping[str, Figure]) -> list[str]:
+def _together(rows: Sequence[CellFigures], scene: Mapping[str, Number]) -> list[str]:
     """The figures of a scene that are not the mean of the single styles' figures."""
     done = [row.figures for row in rows if row.status == "done"]
     alone = {name: loop.mean([as_number(figures.get(name)) for figures in done]) for name in scene}
@@ -375,5 +375,5 @@ def _together(rows: Sequence[CellFigures], scene: Mapping[str, Figure]) -> list[
     ]
 
 
-def _rounded(figures: Mapping[str, float]) -> dict[str, Figure]:
-    return {name: as_figure(rounded(value)) for name, value in figures.items()}
+def _rounded(figures: Mapping[str, float]) -> dict[str, Number]:
+    return {name: stored_number(rounded(value)) for name, value in figures.items()}

@@ -22,7 +22,7 @@ from PIL import Image
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.documents import MAX_BYTES, Figure, kept_json, parse_json, read_json
+from anystyle.io.documents import MAX_BYTES, Number, kept_json, parse_json, read_json
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import PROTOCOL, Inputs
 
@@ -125,7 +125,7 @@ class CellFigures(Struct, frozen=True):
     seconds: float | None = None
     scene_seconds: float | None = 0.0
     memory: float | None = None
-    figures: dict[str, Figure] = msgspec.field(default_factory=dict)
+    figures: dict[str, Number] = msgspec.field(default_factory=dict)
     images: str = ""
     origin: str = ""
 
@@ -147,7 +147,7 @@ class SceneFigures(Struct, frozen=True):
     seed: int
     scene: str
     guide: str
-    figures: dict[str, Figure]
+    figures: dict[str, Number]
 
     @property
     def place(self) -> tuple[str, ...]:
@@ -158,9 +158,9 @@ class SceneFigures(Struct, frozen=True):
 class Interval(Struct, frozen=True):
     """A mean over ``n`` cells or scenes with its 95 % interval for new scenes and styles."""
 
-    mean: Figure
-    low: Figure
-    high: Figure
+    mean: Number
+    low: Number
+    high: Number
     n: int
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from anystyle.evaluation.judge import mean
-from anystyle.io.documents import as_figure, as_number
+from anystyle.io.documents import as_number, stored_number
 from anystyle_benchmark.results import CellFigures, Interval, SceneFigures
 from anystyle_study.statistics import CrossedMean, Crossing, t_interval, t_pvalue
 
@@ -75,7 +75,7 @@ def interval(values: Values) -> Interval:
         low, high = t_interval(mean, float(np.nanstd(pigeonhole(values))), float(crossed.df), CONFIDENCE)
     elif crossed is not None:
         low = high = mean  # nothing varies
-    return Interval(as_figure(rounded(mean)), as_figure(rounded(low)), as_figure(rounded(high)), count)
+    return Interval(stored_number(rounded(mean)), stored_number(rounded(low)), stored_number(rounded(high)), count)
 
 
 def difference(first: Values, second: Values) -> Difference:

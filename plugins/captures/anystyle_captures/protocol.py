@@ -116,20 +116,20 @@ class Captures(Protocol):
                     write_json(temporary / "record.json", self._judge(path, temporary))
             what = f"record of a capture; delete {folder}"
             record: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
-            if self.lpips.name not in record["figures"][KINDS[0]]:
+            if self.lpips.name not in record["scores"][KINDS[0]]:
                 raise UserError(f"{folder} was judged by another network than {self.lpips.name}'s; delete it")
             records[name] = record
             for kind in KINDS:
-                figures = {figure: as_number(value) for figure, value in record["figures"][kind].items()}
+                scores = {score: as_number(value) for score, value in record["scores"][kind].items()}
                 files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
-                rows.append(Row(name, kind, figures, {what: file for what, file in files.items() if file.is_file()}))
+                rows.append(Row(name, kind, scores, {what: file for what, file in files.items() if file.is_file()}))
         on_progress(Progress.count("captures", len(self.captures), len(self.captures)))
-        groups = {kind: _mean(self.better, [row.figures for row in rows if row.style == kind]) for kind in KINDS}
+        groups = {kind: _mean(self.better, [row.scores for row in rows if row.style == kind]) for kind in KINDS}
         for row in rows:
             scene = groups.setdefault(f"{SCENE}{row.scene}", {})
-            scene |= {f"{row.style}_{figure}": value for figure, value in row.figures.items()}
+            scene |= {f"{row.style}_{score}": value for score, value in row.scores.items()}
         return Evaluation(
-            figures=groups["fit"],
+            scores=groups["fit"],
             n=sum(int(record["heldout"]) for record in records.values()),
             better=self.better,
             groups=groups,
@@ -158,17 +158,17 @@ class Captures(Protocol):
             )
         photographs, masks = views.images[0, chosen], Masks.of(views)
         measured = None if masks is None else masks.select(chosen).measured
-        figures: dict[str, Mapping[str, float]] = {}
+        scores: dict[str, Mapping[str, float]] = {}
         for kind, reconstruct in (("fit", self._fit), ("feedforward", self._feedforward)):
             start = time.process_time()
             try:
                 result = reconstruct(views, points, chosen)
             except ValueError as error:
                 # A reconstruction that fails, for example with cameras that run the other way, is a result too.
-                figures[kind], costs[kind] = dict.fromkeys(self.better, nan), {"failed": str(error)}
+                scores[kind], costs[kind] = dict.fromkeys(self.better, nan), {"failed": str(error)}
                 continue
             seconds = time.process_time() - start
-            figures[kind] = self._quality(result.renders, photographs, measured)
+            scores[kind] = self._quality(result.renders, photographs, measured)
             costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
             costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
             for index, render in enumerate(result.renders):
@@ -176,7 +176,7 @@ class Captures(Protocol):
         for index, photograph in enumerate(photographs):
             to_pil(photograph).save(folder / f"photograph_{index}.png")
         cameras["twins"] = count - len(different)
-        return {"figures": figures, "costs": costs, "cameras": cameras, "views": count, "heldout": len(chosen)}
+        return {"scores": scores, "costs": costs, "cameras": cameras, "views": count, "heldout": len(chosen)}
 
     def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
         """Views with cameras, sparse points where they are known, and the entries of the report on the cameras."""
@@ -257,7 +257,7 @@ class Captures(Protocol):
         return time.process_time() - start
 
 
-def _mean(names: Iterable[str], figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Over captures with figures; NaN where there are none."""
-    known = [row for row in figures if not isnan(row["psnr"])]
+def _mean(names: Iterable[str], scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Over captures with scores; NaN where there are none."""
+    known = [row for row in scores if not isnan(row["psnr"])]
     return {name: sum(row[name] for row in known) / len(known) if known else nan for name in names}

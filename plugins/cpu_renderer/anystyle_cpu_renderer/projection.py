@@ -30,8 +30,12 @@ class SceneArrays(NamedTuple):
     shapes: Array
 
 
+LIMITS = ("width", "height", "near", "far", "eps2d", "antialiased")
+"""What is the same for all views; the last is 1 where opacities are lowered by what the filter ``eps2d`` adds, or 0."""
+
+
 class CameraArrays(NamedTuple):
-    """One camera: see :data:`CAMERA`; width, height, near, far and blur; tables of :func:`harmonics_slopes`."""
+    """One camera: see :data:`CAMERA`; :data:`LIMITS`; tables of :func:`harmonics_slopes`."""
 
     camera: Array
     limits: Array
@@ -208,6 +212,10 @@ def project(scene: SceneArrays, view: CameraArrays, start: int, stop: int, splat
         xy = b[0] * p[0] + b[1] * p[1] + b[2] * p[2]
         yy = b[0] * q[0] + b[1] * q[1] + b[2] * q[2] + blur
         determinant = xx * yy - xy * xy
+        if limits[5] > 0.0 and determinant > 0.0:
+            opacity *= sqrt(max((xx - blur) * (yy - blur) - xy * xy, 0.0) / determinant)
+            if not opacity >= 1.0 / 255.0:
+                continue
         px, py = fx * u + cx, fy * v + cy
         # The ellipse in which alpha is at least 1/255.
         reach = 2.0 * log(255.0 * opacity)
@@ -244,14 +252,40 @@ def covariance_gradient(xx: float, xy: float, yy: float, gxx: float, gxy: float,
 
 
 @compiled
+def share_gradient(xx: float, xy: float, yy: float, blur: float) -> tuple:
+    """The gradient of ``log(det S / det(S + blur I)) / 2``: xx, half of xy, yy."""
+    sharp, wide = xx * yy - xy * xy, (xx + blur) * (yy + blur) - xy * xy
+    return (
+        0.5 * (yy / sharp - (yy + blur) / wide),
+        -0.5 * (xy / sharp - xy / wide),
+        0.5 * (xx / sharp - (xx + blur) / wide),
+    )
+
+
+@compiled
 def shape_backward(
-    r: Array, scene: SceneArrays, g: int, d_image: tuple, lens: tuple, into: SceneArrays, posed: bool, d_camera: Array
+    r: Array,
+    scene: SceneArrays,
+    g: int,
+    d_image: tuple,
+    faded: tuple,
+    lens: tuple,
+    into: SceneArrays,
+    posed: bool,
+    d_camera: Array,
 ) -> tuple:
-    """Accumulate gradients of a covariance C and of the camera through the covariance ``A C Aᵀ`` in the image."""
+    """Accumulate gradients of a covariance C and of the camera through the covariance ``A C Aᵀ`` in the image.
+
+    ``faded`` are the gradient of the logarithm of an opacity that depends on the covariance, or 0, and the blur.
+    """
     hxx, hxy, hyy = d_image
     sx, sy, bu, bv = lens
     a, b = image_axes(r, lens)
     p, q = times(scene.shapes, g, a), times(scene.shapes, g, b)
+    if faded[0] != 0.0:
+        xx, xy = a[0] * p[0] + a[1] * p[1] + a[2] * p[2], b[0] * p[0] + b[1] * p[1] + b[2] * p[2]
+        dxx, dxy, dyy = share_gradient(xx, xy, b[0] * q[0] + b[1] * q[1] + b[2] * q[2], faded[1])
+        hxx, hxy, hyy = hxx + faded[0] * dxx, hxy + faded[0] * dxy, hyy + faded[0] * dyy
     entry = 0
     for j in range(3):
         for k in range(j, 3):
@@ -372,10 +406,11 @@ def project_backward(
         wx, wy = float(moments[at, 5]), float(moments[at, 6])
         gx, gy = -(xx * wx + xy * wy), -(xy * wx + yy * wy)
         h = covariance_gradient(xx, xy, yy, 0.5 * moments[at, 7], 0.5 * moments[at, 8], 0.5 * moments[at, 9])
-        into.opacities[g] -= moments[at, 4] / splats[at, OPACITY]
+        into.opacities[g] -= moments[at, 4] / scene.opacities[g]
+        faded = -float(moments[at, 4]) * limits[5], limits[4]
 
         lens = sx, sy, bu, bv
-        dsx, dsy, dbu, dbv = shape_backward(r, scene, g, h, lens, into, posed, d_camera)
+        dsx, dsy, dbu, dbv = shape_backward(r, scene, g, h, faded, lens, into, posed, d_camera)
 
         du, dv = gx * fx, gy * fy
         dfx, dfy, dcx, dcy = gx * u + dsx / z, gy * v + dsy / z, gx, gy

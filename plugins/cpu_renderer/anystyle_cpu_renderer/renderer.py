@@ -14,7 +14,7 @@ from anystyle.io.cache import LRUCache
 from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single, composite
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer import raster, stages
-from anystyle_cpu_renderer.projection import CameraArrays, SceneArrays
+from anystyle_cpu_renderer.projection import LIMITS, CameraArrays, SceneArrays
 from anystyle_cpu_renderer.raster import BlendedView, Shares
 
 
@@ -38,7 +38,9 @@ class CpuRenderer(CappedRasterizer):
     def _inputs(self, gaussians: Gaussians, cameras: Cameras) -> "tuple[list[Tensor], _Settings]":
         tensors = [tensor.float() for tensor in vars(gaussians).values()]
         tensors += [cameras.camera_from_world.double(), cameras.world_from_camera[..., :3, 3].double()]
-        settings = _Settings(*cameras.size, self.near, self.far, self.eps2d, self.alpha_cap)
+        settings = _Settings(
+            *cameras.size, self.near, self.far, self.eps2d, self.alpha_cap, float(gaussians.antialiased)
+        )
         return [*tensors, cameras.intrinsics.double()], settings
 
     @torch.no_grad()
@@ -91,6 +93,7 @@ class _Settings(NamedTuple):
     far: float
     eps2d: float
     alpha_cap: float
+    antialiased: float
 
 
 class _Splatting(torch.autograd.Function):
@@ -154,7 +157,7 @@ def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[SceneArrays]
     rotation, translation = poses[..., :3, :3].flatten(-2), poses[..., :3, 3]
     focal, center = intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], intrinsics[..., :2, 2]
     cameras = torch.cat([rotation, translation, origins, focal, center], dim=-1).contiguous().numpy()
-    limits = np.array([settings.width, settings.height, settings.near, settings.far, settings.eps2d])
+    limits = np.array([getattr(settings, name) for name in LIMITS], np.float64)
     tables = _tables(degree_of(gaussians[-1].shape[2]))
     return scenes, [[CameraArrays(camera, limits, tables) for camera in row] for row in cameras]
 

@@ -23,11 +23,8 @@ from anystyle.geometry.harmonics import CONSTANT
 from anystyle.io.atomic import atomic_path
 from anystyle.io.splats import Splats
 from anystyle.types import Cameras, StyledScene
-from anystyle_formats.packing import columns_of, in_bytes, in_words, joined_bits, morton_order, smallest_three
+from anystyle_formats.packing import codebook, columns_of, in_bytes, in_words, joined_bits, morton_order, smallest_three
 from anystyle_formats.views import best_view
-
-_SCALE_RANGE = 14.0
-"""Scales are clamped to this many natural logarithms below the largest: a millionth of it."""
 
 _PICTURE = 80
 """Longer side of the picture of a style in pixels: two for each that it is shown at."""
@@ -39,8 +36,9 @@ class Html(Format):
     View-dependent colour is left out.
     """
 
-    has_notes = many_styles = True
+    has_antialiasing = has_notes = many_styles = True
     shared = ("means", "scales", "opacities")
+    max_degree = 0
 
     def write(self, scene: StyledScene, path: Path) -> None:
         blob, packing, entries = _packed([scene.splats(index) for index in range(len(scene.styles))])
@@ -69,6 +67,7 @@ def _manifest(scene: StyledScene) -> dict[str, object]:
     cameras = scene.cameras if scene.names else _looking_at(splats.means, splats.opacities)
     return {
         "title": scene.title,
+        "antialiased": scene.antialiased,
         "notes": scene.notes,
         "opening": best_view(splats.means, splats.opacities, cameras),
         "cameras": _cameras(cameras),
@@ -119,10 +118,7 @@ def _packed(styles: list[Splats]) -> tuple[bytes, dict[str, object], list[dict[s
     order = morton_order(columns[0].means)
     means, _, scales, opacities, _ = (column[order] for column in columns[0])
     positions, low, high = in_words(means)
-    largest = float(np.log(max(scales.max(), 1e-12)))
-    logs = np.log(np.maximum(scales, 1e-12)).clip(largest - _SCALE_RANGE, None)
-    smallest = min(float(logs.min()), largest - 1e-6)
-    sizes = in_bytes((logs - smallest) / (largest - smallest) * 255)
+    levels, sizes = codebook(np.log(np.maximum(scales, 1e-12)))
     rotations: dict[bytes, int] = {}  # styles share rotations as a rule
     entries: list[dict[str, object]] = []
     colors: list[bytes] = []
@@ -140,7 +136,7 @@ def _packed(styles: list[Splats]) -> tuple[bytes, dict[str, object], list[dict[s
             "count": len(means),
             "low": low.tolist(),
             "high": high.tolist(),
-            "scales": [smallest, largest],
+            "scales": levels.round(5).tolist(),
             "rotations": list(range(len(rotations))),
         },
         entries,

@@ -37,6 +37,7 @@ class Ksplat(Format):
     """KSPLAT, as GaussianSplats3D reads it: float32, colours in bytes, harmonics up to degree 2."""
 
     reads = True
+    max_degree = _DEGREE
 
     def write(self, scene: StyledScene, path: Path) -> None:
         means, rotations, scales, opacities, harmonics = columns_of(scene.splats())
@@ -54,7 +55,7 @@ class Ksplat(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "KSPLAT file") as remarks:
             data = path.read_bytes()
-            major, minor, number, _, _, count, level, *_, low, high = _START.unpack_from(data)
+            major, minor, number, used, _, count, level, *_, low, high = _START.unpack_from(data)
             if major != 0 or minor < 1 or level >= len(_KINDS):
                 raise ValueError(f"version {major}.{minor}, level {level}; version 0.1 and levels 0 to 2 exist")
             room_for(path, count)
@@ -70,7 +71,8 @@ class Ksplat(Format):
                 if level == 2:
                     low, high = low or -_RANGE, high or _RANGE
                     rest = low + rest / 255 * (high - low)
-                for band in _bands(part.degree):
+                # gaussforge, which alone says that no section is in use, has all of red first, then green, then blue.
+                for band in _bands(part.degree) if used else [slice(1, (part.degree + 1) ** 2)]:
                     wide = band.stop - band.start
                     values = rest[:, 3 * band.start - 3 : 3 * band.stop - 3].reshape(-1, 3, wide)
                     harmonics[at : at + len(rest), band] = values.mT

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from anystyle.io.splats import Splats
 
+DEGREE = 3
+"""The highest of harmonics in SPZ and SOG, as their other readers have it."""
+
 
 class Columns(NamedTuple):
     """The arrays of one scene, as :class:`anystyle.types.Gaussians` has its tensors, with unit quaternions."""
@@ -65,3 +68,28 @@ def morton_order(points: Float[np.ndarray, "N 3"]) -> NDArray[np.int64]:
         for axis in range(3):
             code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return np.argsort(code, kind="stable")
+
+
+def codebook(values: NDArray[np.float64], rounds: int = 32) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Scalar quantisation: 256 ascending levels by Lloyd's algorithm, and the index of the level of each value.
+
+    Half of the levels start at quantiles, which cover the bulk, half evenly spaced, which covers outliers. In each
+    round the levels that no value is nearest to divide the cells of the largest squared errors.
+    """
+    flat = np.sort(values.ravel())
+    quantiles = np.quantile(flat, (np.arange(128) + 0.5) / 128)
+    levels = np.sort(np.concatenate([quantiles, np.linspace(flat[0], flat[-1], 128)]))
+    sums, squares = (np.concatenate([[0.0], np.cumsum(each)]) for each in (flat, flat**2))
+    for remaining in reversed(range(rounds)):
+        bounds = np.concatenate([[0], np.searchsorted(flat, (levels[1:] + levels[:-1]) / 2), [len(flat)]])
+        counts = np.diff(bounds)
+        means = np.diff(sums[bounds]) / np.maximum(counts, 1)
+        levels, empty = np.where(counts > 0, means, levels), np.flatnonzero(counts == 0)
+        if remaining and len(empty):
+            errors = np.where(counts > 1, np.diff(squares[bounds]) - counts * means**2, 0.0)
+            worst = errors.argsort()[::-1][: min(len(empty), int((errors > 0).sum()))]
+            spread = np.sqrt(errors[worst] / counts[worst])
+            levels[empty[: len(worst)]], levels[worst] = means[worst] + spread, means[worst] - spread
+        levels = np.sort(levels)
+    index = np.searchsorted((levels[1:] + levels[:-1]) / 2, values)
+    return levels, index.astype(np.uint8)

@@ -6,6 +6,7 @@ The format is described in PlayCanvas's user manual (developer.playcanvas.com, "
 
 import io
 import json
+import re
 import zipfile
 from collections.abc import Mapping
 from math import ceil, isqrt, sqrt
@@ -22,14 +23,25 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import parse_json
 from anystyle.io.images import opened, require_pixels
 from anystyle.io.limits import require
-from anystyle.io.ply import MAX_DEGREE, from_smallest_three
+from anystyle.io.ply import from_smallest_three
 from anystyle.io.splats import near
-from anystyle.types import ANTIALIASED, StyledScene
-from anystyle_formats.packing import Columns, columns_of, in_bytes, in_words, morton_order, smallest_three
+from anystyle.types import StyledScene
+from anystyle_formats.packing import (
+    DEGREE,
+    Columns,
+    codebook,
+    columns_of,
+    in_bytes,
+    in_words,
+    morton_order,
+    smallest_three,
+)
 from anystyle_formats.reading import gaussians, reading, room_for
 
 PALETTE = 65_536
 """The format's limit on distinct sets of higher harmonics."""
+RIGHTS = re.compile(r"licen[cs]e|copyright|©|\b(?:Apache|MIT|BSD|GPL|CC)[- ]", re.IGNORECASE)
+"""Notes that say who may do what: glTF's field ``copyright``, which SOG has, is for these alone."""
 Encoded = tuple[dict[str, Any], dict[str, bytes]]
 """Attributes in ``meta.json``, and their images by name."""
 
@@ -37,15 +49,20 @@ Encoded = tuple[dict[str, Any], dict[str, bytes]]
 class Sog(Format):
     """SOG, as PlayCanvas reads it: attributes as images in one ZIP file."""
 
-    has_notes = reads = True
+    has_antialiasing = has_notes = reads = True
+    max_degree = DEGREE
 
     def write(self, scene: StyledScene, path: Path) -> None:
         columns = columns_of(scene.splats())
         order = morton_order(columns.means)
         columns = Columns(*(column[order] for column in columns))
         (shape, images), (colors, more) = _encoded_shape(columns), _encoded_colors(columns)
-        asset = {"generator": "anystyle", "copyright": "\n".join(note for note in scene.notes if note != ANTIALIASED)}
+        rights = [note for note in scene.notes if RIGHTS.search(note)]
+        others = [note for note in scene.notes if note not in rights]
+        asset = {"generator": "anystyle", "copyright": "\n".join(rights), "extras": {"notes": others}}
         meta = {"version": 2, "asset": asset, "count": len(order), "antialias": scene.antialiased, **shape, **colors}
+        if scene.antialiased:  # as splat-transform has it, which does not read the other
+            meta["model"] = "antialiased"
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             for name, data in {"meta.json": json.dumps(meta).encode(), **images, **more}.items():
                 archive.writestr(zipfile.ZipInfo(name), data)
@@ -56,9 +73,11 @@ class Sog(Format):
             meta = parse_json(_member(archive, file), dict[str, Any], source=str(path), what="SOG file")
             means, *columns = _decoded(archive, PurePosixPath(file).parent, meta, path)
             positions, offset = near(means, remarks)
-            scene = gaussians(remarks, positions, *columns)
-            notes = str(meta.get("asset", {}).get("copyright", "")).splitlines()
-            notes += [ANTIALIASED] * bool(meta.get("antialias"))
+            mode = bool(meta.get("antialias")) or meta.get("model") == "antialiased"
+            scene = gaussians(remarks, positions, *columns).marked(mode)
+            asset = meta.get("asset", {})
+            others = map(str, asset.get("extras", {}).get("notes", []))
+            notes = [*str(asset.get("copyright", "")).splitlines(), *others]
         return StyledScene(((path.stem, scene),), notes=tuple(notes), offset=offset)
 
 
@@ -123,7 +142,7 @@ def _encoded_colors(columns: Columns) -> Encoded:
     book, index = codebook(harmonics[:, 0])
     meta: dict[str, Any] = {"sh0": {"codebook": book.tolist(), "files": ["sh0.webp"]}}
     images = {"sh0.webp": _webp(np.concatenate([index, in_bytes(columns.opacities * 255)[:, None]], 1), width)}
-    degree = min(isqrt(harmonics.shape[1]) - 1, MAX_DEGREE)
+    degree = min(isqrt(harmonics.shape[1]) - 1, DEGREE)
     if degree:
         rest = harmonics[:, 1 : (degree + 1) ** 2]
         centroids, labels = palette(rest.reshape(len(rest), -1))
@@ -154,24 +173,6 @@ def _leveled(part: Mapping[str, Any], index: NDArray[np.int64]) -> NDArray[np.fl
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
     require(archive.getinfo(name).file_size, name, "a smaller file")
     return archive.read(name)
-
-
-def codebook(values: NDArray[np.float64], rounds: int = 32) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Scalar quantisation: 256 ascending levels by Lloyd's algorithm, and the index of the level of each value.
-
-    Half of the levels start at quantiles, which cover the bulk, half evenly spaced, which covers outliers.
-    """
-    flat = np.sort(values.ravel())
-    quantiles = np.quantile(flat, (np.arange(128) + 0.5) / 128)
-    levels = np.sort(np.concatenate([quantiles, np.linspace(flat[0], flat[-1], 128)]))
-    sums = np.concatenate([[0.0], np.cumsum(flat)])
-    for _ in range(rounds):
-        bounds = np.concatenate([[0], np.searchsorted(flat, (levels[1:] + levels[:-1]) / 2), [len(flat)]])
-        counts = np.diff(bounds)
-        means = np.diff(sums[bounds]) / np.maximum(counts, 1)
-        levels = np.sort(np.where(counts > 0, means, levels))
-    index = np.searchsorted((levels[1:] + levels[:-1]) / 2, values)
-    return levels, index.astype(np.uint8)
 
 
 def palette(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -18,6 +18,7 @@ class Splat(Format):
     """The ``.splat`` format of web viewers: 32 bytes per Gaussian, without view-dependent colour and notes."""
 
     reads = True
+    max_degree = 0
 
     def write(self, scene: StyledScene, path: Path) -> None:
         means, rotations, scales, opacities, harmonics = columns_of(scene.splats())

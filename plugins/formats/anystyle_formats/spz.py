@@ -5,6 +5,7 @@ Its axes are right, up, back, unless an extension of Adobe's says otherwise. It 
 
 import gzip
 import io
+import logging
 import struct
 from math import floor, isqrt, log2, sqrt
 from pathlib import Path
@@ -15,14 +16,17 @@ from numpy.typing import NDArray
 from anystyle.contracts import Format
 from anystyle.errors import MissingExtra, UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.ply import MAX_DEGREE, from_smallest_three
+from anystyle.io.ply import from_smallest_three
 from anystyle.io.splats import Remarks
-from anystyle.types import ANTIALIASED, Gaussians, StyledScene
-from anystyle_formats.packing import columns_of, in_bytes, joined_bits, smallest_three
+from anystyle.types import Gaussians, StyledScene
+from anystyle_formats.packing import DEGREE, columns_of, in_bytes, joined_bits, smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
 
 MAGIC, VERSION = 0x5053474E, 3
 _START = MAGIC.to_bytes(4, "little")
+_log = logging.getLogger(__name__)
+COARSER = 4
+"""Bits that positions may lose for Gaussians far out, without a line."""
 MAX_FRACTION_BITS = 18
 """Fractional bits of a fixed-point coordinate; large scenes get fewer."""
 _COLOR_SCALE = 0.15
@@ -37,15 +41,18 @@ class Spz(Format):
     """SPZ, as Niantic publishes it: compressed to about a tenth of a PLY file."""
 
     up = "y"
-    reads = True
+    has_antialiasing = reads = True
+    max_degree = DEGREE
 
     def write(self, scene: StyledScene, path: Path) -> None:
         means, rotations, scales, opacities, harmonics = columns_of(scene.splats())
-        degree = min(isqrt(harmonics.shape[1]) - 1, MAX_DEGREE)
+        degree = min(isqrt(harmonics.shape[1]) - 1, DEGREE)
         largest = float(np.abs(means).max())
-        bits = min(MAX_FRACTION_BITS, floor(23 - log2(max(largest * (1 + 1e-6), 1e-9))))
+        bits = _fraction_bits(largest)
         if bits < 0:
             raise UserError(f"coordinates up to {largest:g} exceed those of SPZ, 2^23; scale the scene down")
+        _tell_coarse(path, np.abs(means).max(1), bits)
+        _tell_cut(path, harmonics, scales)
         fixed = np.round(means * 2**bits).clip(-(2**23), 2**23 - 1).astype("<i4")
         columns = [
             fixed.reshape(-1, 1).view(np.uint8).reshape(-1, 4)[:, :3],
@@ -62,9 +69,35 @@ class Spz(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SPZ file") as remarks:
             data = path.read_bytes()
-            scene, up = decoded(data, remarks), _stated_up(data) or self.up
-            notes = (ANTIALIASED,) if _flags(data) & 1 else ()
-        return StyledScene(((path.stem, scene),), notes=notes, up=up)
+            scene, up = decoded(data, remarks).marked(bool(_flags(data) & 1)), _stated_up(data) or self.up
+        return StyledScene(((path.stem, scene),), up=up)
+
+
+def _fraction_bits(largest: float) -> int:
+    """Of coordinates up to some size, so that they fit into three bytes."""
+    return min(MAX_FRACTION_BITS, floor(23 - log2(max(largest * (1 + 1e-6), 1e-9))))
+
+
+def _tell_coarse(path: Path, distances: NDArray[np.float64], bits: int) -> None:
+    """Say in a line where a few Gaussians far out make the positions of all others coarse."""
+    bulk = _fraction_bits(float(np.quantile(distances, 0.99, method="lower")))
+    if bulk - bits > COARSER:
+        far, step, fine = (distances >= 2.0 ** (23 - bulk)).sum(), 2.0**-bits, 2.0**-bulk
+        line = "%s: positions are multiples of %g, and would be of %g without %s of %s Gaussians, which lie far out"
+        _log.warning(line, path, step, fine, f"{far:,}", f"{len(distances):,}")
+
+
+def _tell_cut(path: Path, harmonics: NDArray[np.float64], scales: NDArray[np.float64]) -> None:
+    """Say in a line which values the bytes cannot hold."""
+    constant, rest, sizes = np.abs(harmonics[:, 0]), harmonics[:, 1:], np.log(np.maximum(scales, 1e-12))
+    cut = {
+        "colours": (constant * _COLOR_SCALE > 0.5 + 0.5 / 255).any(1),
+        "harmonics": ((rest * 128 < -128.5) | (rest * 128 > 127.5)).any((1, 2)),
+        "sizes": ((sizes < -10 - 1 / 32) | (sizes > -10 + 255.5 / 16)).any(1),
+    }
+    told = ", ".join(f"{what} of {rows.sum():,}" for what, rows in cut.items() if rows.any())
+    if told:
+        _log.warning("%s: of %s Gaussians, what SPZ cannot hold is cut: %s", path, f"{len(scales):,}", told)
 
 
 def _flags(data: bytes) -> int:

@@ -84,6 +84,20 @@ def expected(style, view):
     return TorchRenderer()(gaussians, cameras().select([view])).color[0, 0].permute(1, 2, 0)
 
 
+def test_an_antialiased_scene_is_as_faint_as_the_renderer_renders_it(browser, tmp_path):
+    thin = replace(scene(1, COUNT), scales=0.2 * scene(1, COUNT).scales).marked(True)
+    write(tmp_path / "thin.html", [("thin", thin)])
+    page = new_page(browser, viewport={"width": SIZE[1], "height": SIZE[0]}, offline=True, color_scheme="light")
+    page.goto((tmp_path / "thin.html").as_uri())
+    wait(page, "document.body.dataset.ready")
+    page.evaluate("document.body.classList.add('bare'); anystyle.go(0)")
+    shown = torch.tensor(canvas(page, tmp_path / "thin.png"))
+    seen = [
+        TorchRenderer()(thin.marked(mode), cameras().select([0])).color[0, 0].movedim(0, -1) for mode in (False, True)
+    ]
+    assert psnr(shown, seen[1]) > 36 > psnr(shown, seen[0]) + 6
+
+
 def test_a_style_has_a_small_picture_as_it_opens_and_its_painting(page):
     opening = page.evaluate("anystyle.scene.opening")
     for style in range(2):

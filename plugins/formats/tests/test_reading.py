@@ -18,12 +18,13 @@ from anystyle.commands import stylize
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io import ply
-from anystyle.pipeline.export import export, export_styles, in_axes
+from anystyle.pipeline.export import export_styles, in_axes
+from anystyle.pipeline.options import SplatOptions
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
-from anystyle.types import ANTIALIASED, Gaussians, StyledScene
+from anystyle.types import Gaussians, StyledScene
 from tests.support.export_readers import SPLAT_TRANSFORM
-from tests.support.export_scene import LEAST, picture, psnr, scene
+from tests.support.export_scene import LEAST, export, picture, psnr, scene
 
 READ = ("ksplat", "ply", "sog", "splat", "spz")
 QUANTISED = {"ksplat": 40, "sog": 34, "splat": 30, "spz": 34}
@@ -40,11 +41,11 @@ def read(path):
 def test_files_of_gaussforge_are_read(name, version, tmp_path):
     """It turns no axes: its SPZ files stand on their heads until that is said."""
     gaussforge = pytest.importorskip("gaussforge", reason="the other program is in the group dev")
-    gaussians = scene({"splat": 1, "ksplat": 4}.get(name, 16))
+    gaussians = scene({"splat": 1}.get(name, 16))
     export(gaussians, tmp_path / "scene.ply", "ply")
     theirs = gaussforge.GaussForge().convert((tmp_path / "scene.ply").read_bytes(), "ply", name, spz_version=version)
     (tmp_path / f"theirs.{name}").write_bytes(theirs["data"])
-    found = read_saved(tmp_path / f"theirs.{name}", "opencv").styles[-1][1]
+    found = read_saved(tmp_path / f"theirs.{name}", SplatOptions(up="opencv")).styles[-1][1]
     assert found.harmonics.shape == gaussians.harmonics.shape
     assert psnr(picture(found), picture(gaussians)) > QUANTISED[name]
 
@@ -57,7 +58,7 @@ def test_files_of_splat_transform_are_read(name, options, tmp_path):
     path = tmp_path / f"theirs.{name}"
     words = [SPLAT_TRANSFORM, "-q", "-g", "cpu", *options.split(), tmp_path / "scene.ply", path]
     subprocess.run(words, check=True, capture_output=True)
-    found = read_saved(path, "opencv" if name == "spz" else None).styles[-1][1]
+    found = read_saved(path, SplatOptions(up="opencv" if name == "spz" else None)).styles[-1][1]
     assert psnr(picture(found), picture(gaussians)) > QUANTISED[name]
 
 
@@ -104,7 +105,7 @@ def test_a_ply_header_that_names_the_axis_is_obeyed(said, up, tmp_path):
     found = read_saved(tmp_path / "scene.ply")
     assert psnr(picture(found.styles[0][1]), picture(scene(4))) > 80
     assert found.notes == ("from elsewhere",)
-    other = read_saved(tmp_path / "scene.ply", "z" if up != "z" else "y")
+    other = read_saved(tmp_path / "scene.ply", SplatOptions(up="z" if up != "z" else "y"))
     assert psnr(picture(other.styles[0][1]), picture(scene(4))) < 30
     assert ply.recolor(tmp_path / "scene.ply", splats.harmonics, tmp_path / "again.ply")
     assert PlyData.read(tmp_path / "again.ply").comments == ["from elsewhere", said]
@@ -200,19 +201,24 @@ def test_a_sog_of_vast_images_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("first", ["ply", "spz", "sog"])
-def test_antialiasing_of_the_training_is_carried_and_told(tmp_path, caplog, first):
-    """A comment in PLY, a bit in SPZ, a key in SOG: each is read into the others, and no other file says it."""
-    for marked in (True, False):
-        given = StyledScene((("", scene(1)),), notes=("mine", ANTIALIASED) if marked else ("mine",))
-        export_styles(given, tmp_path / f"{marked}.{first}", first)
-        caplog.clear()
-        read = read_saved(tmp_path / f"{marked}.{first}")
-        assert read.antialiased == marked and "mine" in read.notes
-        assert ("trained with antialiasing" in caplog.text) == marked
-        for name in ("ply", "spz", "sog"):
-            export_styles(read, tmp_path / f"again.{name}", name)
-            assert read_saved(tmp_path / f"again.{name}").antialiased == marked
-        assert (gzip.decompress((tmp_path / "again.spz").read_bytes())[14] == 1) == marked
-        with zipfile.ZipFile(tmp_path / "again.sog") as archive:
-            meta = json.loads(archive.read("meta.json"))
-        assert meta["antialias"] == marked and meta["asset"]["copyright"] == "mine"
+@pytest.mark.parametrize("marked", [True, False])
+def test_antialiasing_of_the_training_is_carried(tmp_path, caplog, first, marked):
+    """A comment in PLY, a bit in SPZ, a key in SOG: each is read into the others, and a line says where it is lost."""
+    given = StyledScene((("", scene(1).marked(marked)),), notes=("mine",))
+    export_styles(given, tmp_path / f"first.{first}", first)
+    read = read_saved(tmp_path / f"first.{first}")
+    assert read.antialiased == marked and read.notes == ("mine",)
+    for name in ("ply", "spz", "sog", "splat"):
+        export_styles(read, tmp_path / f"again.{name}", name)
+        assert read_saved(tmp_path / f"again.{name}").antialiased == (marked and name != "splat")
+    assert ("again.splat: the format cannot say" in caplog.text) == marked
+    assert caplog.text.count("trained with antialiasing") == marked
+    assert (gzip.decompress((tmp_path / "again.spz").read_bytes())[14] == 1) == marked
+    with zipfile.ZipFile(tmp_path / "again.sog") as archive:
+        meta = json.loads(archive.read("meta.json"))
+    assert meta["antialias"] == marked == (meta.get("model") == "antialiased") and meta["asset"]["extras"]["notes"] == [
+        "mine"
+    ]
+    assert read_saved(tmp_path / "again.ply", SplatOptions(antialiased=not marked)).antialiased != marked
+    (tmp_path / "config.yml").write_text("pipeline: !!python/object:some.Model\n  rasterize_mode: antialiased\n")
+    assert read_saved(tmp_path / "again.splat").antialiased

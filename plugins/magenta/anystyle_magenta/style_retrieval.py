@@ -36,7 +36,7 @@ class Retrieval(Metric):
     scene shows does not count. Chance is one over the number of style images, and scores of other numbers cannot be
     compared.
 
-    A subclass defines the vectors, and names the two figures in :attr:`better`, colour first.
+    A subclass defines the vectors, and names the two scores in :attr:`better`, colour first.
     """
 
     full_state_update = False
@@ -66,7 +66,7 @@ class Retrieval(Metric):
     def compute(self) -> dict[str, Tensor]:
         hits = self.of_each_row()
         if all(values.isnan().all() for values in hits.values()):
-            text = "there is no scene in two styles, or nothing to choose among; the figures are nan"
+            text = "there is no scene in two styles, or nothing to choose among; the scores are nan"
             warnings.warn(f"{next(iter(hits))}: {text}", stacklevel=2)
         return {name: values.nanmean() for name, values in hits.items()}
 

@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 
 import anystyle
+from anystyle.errors import UserError
 from anystyle_magenta import MagentaEncoder
 from anystyle_magenta.style_encoder import FILE
 
@@ -51,6 +52,12 @@ def test_words_that_were_never_learnt_are_named_and_the_nearest_description_too(
     known = encoder.match_text("Starry night")
     assert known.unknown_words == () and known.description == "starry night"
     assert known.similarity == pytest.approx(1, abs=1e-5)
+
+
+def test_a_text_of_which_no_word_is_known_is_refused(tmp_path):
+    views = _plugin("scenes", "procedural")(split="heldout", size=56).read(11, [0, 1])
+    with pytest.raises(UserError, match="knows no word of the text '冬の夜'; say it in English"):
+        anystyle.stylize(views, "冬の夜", video={"frames": 2})
 
 
 def test_the_report_says_what_was_made_of_a_text(tmp_path, caplog):

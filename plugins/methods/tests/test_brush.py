@@ -8,6 +8,7 @@ import torch
 from torch.nn.functional import interpolate
 
 import anystyle
+from anystyle.commands import stylize
 from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
@@ -17,6 +18,7 @@ from anystyle.types import Cameras, Gaussians, Style, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from anystyle_methods.brush import Brush
 from anystyle_methods.flow import flow, structure_tensor
+from tests.support.known_scene import wall as known_wall
 
 SIDE = 96
 COLOR = torch.tensor([1.0, 0.5, 0.2])[:, None, None]
@@ -163,3 +165,16 @@ def test_scenes_of_the_single_pass_are_painted_on_too(wall):
 def test_options_are_checked():
     with pytest.raises(UserError, match=r"method\.size"):
         build(Method, {"_target_": "anystyle_methods.brush.Brush", "size": 0.0})
+
+
+def test_several_styles_have_a_page_each_and_the_line_says_so(tmp_path, capsys):
+    known_wall().marked(True).save(tmp_path / "wall.ply")
+    words = ["--text", "blue", "--text", "red dots", "--export", "html", "--out", str(tmp_path / "out"), "method=brush"]
+    stylize.main([str(tmp_path / "wall.ply"), *words, "views.short_side=56", "splat.cameras=2", "video.frames=2"])
+    assert capsys.readouterr().out.strip().endswith("sheet.png; each style has a scene.html in its folder")
+    pages = list((tmp_path / "out").glob("*/scene.html"))
+    assert len(pages) == 2 and all('"antialiased": true' in page.read_text() for page in pages)
+    replace(known_wall(), scales=known_wall().scales * 1e-3).marked(True).save(tmp_path / "thin.ply")
+    with pytest.raises(SystemExit, match="2"):
+        stylize.main([str(tmp_path / "thin.ply"), *words[:2], *words[6:], "splat.cameras=2", "views.short_side=28"])
+    assert "anystyle: error: " in capsys.readouterr().err

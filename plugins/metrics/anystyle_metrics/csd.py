@@ -34,8 +34,8 @@ class CSD(RowMean):
         >>> import tempfile
         >>> metric = CSD(**CSD.example(Path(tempfile.mkdtemp())))
         >>> image = torch.full((1, 3, 224, 224), 0.5)
-        >>> figure = metric(image, style=image)
-        >>> round(float(figure), 4)
+        >>> score = metric(image, style=image)
+        >>> round(float(score), 4)
         1.0
     """
 

@@ -32,7 +32,7 @@ class Met3rDepth(NetworkMetric, RowMean):
 
     ``1 - (S(a, b) + S(b, a)) / 2`` in [0, 2] (arXiv 2501.06336, section 3): ``S(a, b)`` is the mean cosine of the
     features of ``a`` and of those of ``b`` warped into it, over the pixels of ``a`` that ``b`` sees. Views are paired
-    with the next of their sequence. Two things differ from the publication, so that figures cannot be compared with it:
+    with the next of their sequence. Two things differ from the publication, so that scores cannot be compared with it:
     pixels correspond by the comparison's depth and cameras and not by DUSt3R, and DINO's features (ViT-S/16, last
     layer) are interpolated bilinearly and not by FeatUp. Rows without depth or cameras, or without two views that
     follow each other, are left out.
@@ -47,8 +47,8 @@ class Met3rDepth(NetworkMetric, RowMean):
         >>> views = torch.rand(1, 1, 3, 64, 64).expand(1, 2, 3, 64, 64)
         >>> intrinsics = torch.tensor([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]).repeat(1, 2, 1, 1)
         >>> cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), intrinsics, (64, 64))
-        >>> figure = Met3rDepth(weights="stand_in")(views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
-        >>> round(float(figure), 3)
+        >>> score = Met3rDepth(weights="stand_in")(views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
+        >>> round(float(score), 3)
         0.0
     """
 

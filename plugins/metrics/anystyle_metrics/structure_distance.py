@@ -25,7 +25,7 @@ class StructureDistance(NetworkMetric, RowMean):
     the Frobenius norm of the same difference. Images have a shorter side of 224 pixels.
 
     The stand-in has the activations of EfficientNet-Lite0's block 12 in the place of keys, without a class token. Its
-    figures are in the same range, and comparable with one another only.
+    scores are in the same range, and comparable with one another only.
 
     Args:
         weights: ``auto`` falls back to the stand-in, with a warning, where the published ones are missing.

@@ -9,12 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.contracts import Correspondence, accepts_tensors
-from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.base import NetworkMetric
-from anystyle.types import Comparison, Frames
+from anystyle.types import Comparison, Flow, Frames
+from anystyle.types.shapes import check_tensor, check_value
 from anystyle.vision import lpips, preprocess
 from anystyle.vision.feature_cache import batch_size, digests
 from anystyle.vision.weights import Weights
+from anystyle_metrics.warping import backward_warp, softmax_splat
 
 RANGES = {"short": 1, "long": 7}
 """How many frames lie between the frames of a pair."""
@@ -93,7 +94,7 @@ class WarpConsistency(NetworkMetric):
         self.declare(*correspondence.sources)
         self.name_after(self.network.name)
         distances = [f"warp_{self.network.name}_{name}" for name in RANGES]
-        self.declare(*correspondence.sources, self.network.source, figures=distances)
+        self.declare(*correspondence.sources, self.network.source, scores=distances)
         # The photographs' flows of each range, for the next style of the same scene.
         self._content_flows: dict[int, tuple[list[str], Flows]] = {}
         self.add_state("totals", torch.zeros(2, 3, dtype=torch.float64), dist_reduce_fx="sum")
@@ -109,18 +110,18 @@ class WarpConsistency(NetworkMetric):
                     self.rows[index] += 1
 
     def compute(self) -> dict[str, Tensor]:
-        figures: dict[str, Tensor] = {}
+        scores: dict[str, Tensor] = {}
         for index, (name, gap) in enumerate(RANGES.items()):
             if int(self.rows[index]) == 0:
                 warnings.warn(
                     f"warp_consistency: no scene with {gap + 1} frames of which the first and the last see each other; "
-                    f"the {name} range's figures are nan",
+                    f"the {name} range's scores are nan",
                     stacklevel=2,
                 )
             means = (self.totals[index] / self.rows[index]).float()  # nan where there is no row
             for kind, value in zip(("rmse", self.network.name, "coverage"), means, strict=True):
-                figures[f"warp_{kind}_{name}"] = value
-        return {name: figures[name] for name in self.better}
+                scores[f"warp_{kind}_{name}"] = value
+        return {name: scores[name] for name in self.better}
 
     def _flows(self, comparison: Comparison, row: int, gap: int) -> Flows:
         """The flows of the pairs of one row; those of photographs are kept for the next style of the scene."""
@@ -140,10 +141,16 @@ class WarpConsistency(NetworkMetric):
         for first, second in _batches(frames.images, neighbours):
             source: Frames = frames.map(lambda tensor, batch=first: tensor[batch])
             target: Frames = frames.map(lambda tensor, batch=second: tensor[batch])
-            flow = None if self.reference else self.correspondence(source, target)
-            flows.append(
-                (flow.displacement, flow.visible) if flow else (self.correspondence.displacement(source, target), None)
-            )
+            where = f"the correspondence {type(self.correspondence).__name__}"
+            sizes = dict(zip("MHW", source.images[:, 0].shape, strict=True))
+            if self.reference:
+                displacement = self.correspondence.displacement(source, target)
+                check_tensor(displacement, Float[Tensor, "M 2 H W"], f"the displacement of {where}", **sizes)
+                flows.append((displacement, None))
+            else:
+                flow = self.correspondence(source, target)
+                check_value(flow, Flow, where, **sizes)
+                flows.append((flow.displacement, flow.visible))
         return flows
 
     def _row_means(

@@ -20,11 +20,11 @@ from tests.support.known_scene import photographed_wall
 from tests.support.real_data import real
 
 
-def figures(metric, content, stylized, style=None, **known):
+def scores(metric, content, stylized, style=None, **known):
     given = None if style is None else Style(image=style[None])
     metric.reset()
     metric.update(Comparison(content[None], stylized[None], given, **known))
-    return {name: float(value) for name, value in metric.figures().items()}
+    return {name: float(value) for name, value in metric.scores().items()}
 
 
 def noise_like(images):
@@ -97,7 +97,7 @@ def test_structure_distance_is_scipys_cosines():
         for images in (content, stylized)
     ]
     expected = np.square(np.subtract(*similarities)).mean()
-    np.testing.assert_allclose(figures(metric, content, stylized)["structure_distance"], expected, rtol=1e-4)
+    np.testing.assert_allclose(scores(metric, content, stylized)["structure_distance"], expected, rtol=1e-4)
 
 
 def test_structure_distance_puts_real_pictures_where_a_person_would():
@@ -105,7 +105,7 @@ def test_structure_distance_puts_real_pictures_where_a_person_would():
     blurred = torch.from_numpy(gaussian_filter(photo.numpy(), (0, 0, 2, 2)))
     rows = [photo, photo.flip(1), blurred, painting, noise_like(photo)]
     same, recoloured, soft, pasted, noise = (
-        figures(StructureDistance(weights="stand_in"), photo, row)["structure_distance"] for row in rows
+        scores(StructureDistance(weights="stand_in"), photo, row)["structure_distance"] for row in rows
     )
     assert same == 0 < recoloured < pasted < noise and 0 < soft < pasted
 
@@ -139,7 +139,7 @@ def test_met3r_warps_features_as_scipy_does():
         cosines = (one * other).sum(0) / np.linalg.norm(one, axis=0) / np.linalg.norm(other, axis=0)
         views = [frames.map(lambda tensor, view=view: tensor[view : view + 1]) for view in (first, second)]
         pairs.append(cosines[RenderedDepth()(*views).visible[0].numpy()[rows, columns]].mean())
-    found = figures(metric, images, images, cameras=cameras, depth=depth[None])["met3r_depth"]
+    found = scores(metric, images, images, cameras=cameras, depth=depth[None])["met3r_depth"]
     np.testing.assert_allclose(found, 1 - np.mean(pairs), rtol=1e-3)
 
 
@@ -148,7 +148,7 @@ def test_met3r_prefers_views_of_one_scene():
     known = {"cameras": cameras, "depth": depth[None]}
     pasted = images[:1].expand_as(images)
     scene, other, noise = (
-        figures(Met3rDepth(weights="stand_in"), images, row, **known)["met3r_depth"]
+        scores(Met3rDepth(weights="stand_in"), images, row, **known)["met3r_depth"]
         for row in (images, pasted, noise_like(images))
     )
     assert scene < 0.9 * other < other < noise
@@ -159,7 +159,7 @@ def test_views_are_neighbours_by_their_numbers():
 
     def found(metric, views, numbers=()):
         known = {"cameras": cameras.select(views), "depth": depth[None, views], "numbers": numbers}
-        return figures(metric, images[views], images[views], **known)
+        return scores(metric, images[views], images[views], **known)
 
     some = found(Met3rDepth(weights="stand_in"), [0, 1, 2, 3], (0, 1, 3, 4))["met3r_depth"]
     pairs = [found(Met3rDepth(weights="stand_in"), views)["met3r_depth"] for views in ([0, 1], [2, 3])]
@@ -195,15 +195,15 @@ def test_csd_is_the_cosine_of_the_style_heads_outputs(tmp_path):
     with torch.no_grad():
         expected = (described(views) @ described(style[None])[0]).mean()
     metric = CSD(**options)
-    assert figures(metric, views, views, style)["csd"] == pytest.approx(float(expected), abs=1e-5)
-    assert figures(metric, views, style.expand_as(views), style)["csd"] == pytest.approx(1)
+    assert scores(metric, views, views, style)["csd"] == pytest.approx(float(expected), abs=1e-5)
+    assert scores(metric, views, style.expand_as(views), style)["csd"] == pytest.approx(1)
     assert set(metric.weights) == {"csd.pth"}
 
 
 def test_csd_needs_its_own_weights(tmp_path):
     views = torch.rand(1, 3, 32, 32)
     with pytest.raises(UserError, match=r"csd_vit_l.*CSD-ViT-L"):
-        figures(CSD(), views, views, views[0])
+        scores(CSD(), views, views, views[0])
     torch.save({"model_state_dict": {"module.last_layer_style": torch.zeros(1, 1)}}, tmp_path / "other.pth")
     with pytest.raises(UserError, match="does not fit"):
-        figures(CSD(file=str(tmp_path / "other.pth")), views, views, views[0])
+        scores(CSD(file=str(tmp_path / "other.pth")), views, views, views[0])

@@ -1,1 +1,1 @@
-"""The tables of the AnyStyle paper: folders, protocols, published figures, and the command ``anystyle report``."""
+"""The tables of the AnyStyle paper: folders, protocols, published scores, and the command ``anystyle report``."""

@@ -11,11 +11,11 @@ from anystyle_paper.run_table import ColumnKey, Line
 
 
 def draw(lines: Sequence[Line], columns: Sequence[ColumnKey], better: Mapping[str, str], path: Path) -> bool:
-    """Draw a panel for each figure, in it a bar for each variant or published method; ``False`` without any figure.
+    """Draw a panel for each score, in it a bar for each variant or published method; ``False`` without any score.
 
     Several seeds are dots, with the 95 % interval of their mean.
     """
-    # Figures of stand-ins are marked below their panels, and have no bars of their own.
+    # Scores of stand-ins are marked below their panels, and have no bars of their own.
     titles: dict[str, None] = {}
     shown: dict[ColumnKey, dict[str, Line]] = {}
     for line in lines:

@@ -10,7 +10,7 @@ from anystyle.contracts import Command
 from anystyle.errors import MissingExtra, UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import contact_sheet
-from anystyle_paper import bars, command_verify, published_figures, run_table, runs
+from anystyle_paper import bars, command_verify, published_scores, run_table, runs
 
 
 class Report(Command):
@@ -27,11 +27,11 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser(
         "report",
         "Set runs side by side: evaluations, trainings, the jobs of a multirun. A row for each variant "
-        "(runs that differ by seed alone are one), figures in columns; jobs that failed are marked so in their row.",
-        epilog="anystyle report verify DIR makes figures of such a table again, and compares them.",
+        "(runs that differ by seed alone are one), scores in columns; jobs that failed are marked so in their row.",
+        epilog="anystyle report verify DIR makes scores of such a table again, and compares them.",
     )
     flags.add_argument("folders", nargs="*", type=Path, metavar="DIR", help="a run, a multirun, or a folder of these")
-    flags.add_argument("--figures", default="", metavar="A,B", help="which figures, in this order (default: all)")
+    flags.add_argument("--scores", default="", metavar="A,B", help="which scores, in this order (default: all)")
     flags.add_argument("--scenes", action="store_true", help="columns for each scene, not their mean")
     flags.add_argument("--with-published", action="store_true", help="with rows that papers printed, scene by scene")
     flags.add_argument("--published", type=Path, action="append", default=[], metavar="FILE", help="more such rows")
@@ -45,7 +45,7 @@ def report(arguments: argparse.Namespace) -> None:
         raise UserError("no folder is named; give a run, a multirun or an evaluation, or --with-published alone")
     items = [item for folder in arguments.folders for item in runs.find(folder)]
     lines, better = run_table.lines_of(items) if items else ([], {})
-    better = {**published_figures.better(), **better}
+    better = {**published_scores.better(), **better}
     out = arguments.out or (arguments.folders[0] / "report" if arguments.folders else Path("report"))
     with atomic_directory(out) as folder:
         written = _side_by_side(arguments, lines, better, folder)
@@ -57,12 +57,12 @@ def _side_by_side(
 ) -> list[str]:
     """Print and write the table, plot and contact sheet of runs; return the names of the files."""
     with_published = arguments.with_published or bool(arguments.published)
-    figures = published_figures.load(arguments.published) if with_published else []
-    more, sources = run_table.published_lines(figures)
+    scores = published_scores.load(arguments.published) if with_published else []
+    more, sources = run_table.published_lines(scores)
     lines = lines + more
-    names = run_table.figures_of(lines, [name for name in arguments.figures.split(",") if name])
+    names = run_table.scores_of(lines, [name for name in arguments.scores.split(",") if name])
     scenes = run_table.scenes_of(lines, names) if arguments.scenes or with_published else []
-    # Rows without figures of single scenes have columns of their own.
+    # Rows without scores of single scenes have columns of their own.
     overall = any(line.samples and not any(scene for scene, _ in line.samples) for line in lines)
     columns = run_table.columns_of(lines, names, [*([run_table.ALL] if overall or not scenes else []), *scenes])
     lines = [line for line in lines if line.state or any(column in line.samples for column in columns)]
@@ -75,8 +75,8 @@ def _side_by_side(
         pictures.save(out / "sheet.png")
         written.append("sheet.png")
     try:
-        if bars.draw(lines, columns, better, out / "figures.png"):
-            written.append("figures.png")
+        if bars.draw(lines, columns, better, out / "scores.png"):
+            written.append("scores.png")
     except MissingExtra as error:
         print(f"no plot: {error}", file=sys.stderr)
     print(table.markdown(), end="")

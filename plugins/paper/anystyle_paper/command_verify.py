@@ -1,4 +1,4 @@
-"""Make figures of a table again, and compare them and what they rest on."""
+"""Make scores of a table again, and compare them and what they rest on."""
 
 import argparse
 import shutil
@@ -18,9 +18,9 @@ def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle report verify``."""
     flags = new_parser(
         "report verify",
-        "Make the evaluations behind a row of a table again, in a fresh folder, and compare every figure: equal, "
+        "Make the evaluations behind a row of a table again, in a fresh folder, and compare every score: equal, "
         "equal within rounding, or not, and then what has changed (code, library, plugin, weights, input). "
-        "A training is not repeated: its weights are judged again. Exit status 2 if a figure is another one.",
+        "A training is not repeated: its weights are judged again. Exit status 2 if a score is another one.",
     )
     flags.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="as for anystyle report")
     which = flags.add_mutually_exclusive_group()
@@ -44,7 +44,7 @@ def main(words: Sequence[str]) -> int:
     if without:
         print(f"without an evaluation, and not verified: {', '.join(without)}", file=sys.stderr)
     if arguments.out is not None and arguments.out.exists():
-        raise UserError(f"{arguments.out} exists; figures are made again in a folder that does not")
+        raise UserError(f"{arguments.out} exists; scores are made again in a folder that does not")
     out = arguments.out or Path(tempfile.mkdtemp(prefix="anystyle-verify-"))
     checked: list[verify.Verification] = []
     try:

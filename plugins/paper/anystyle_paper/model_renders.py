@@ -34,7 +34,7 @@ class ModelRenders(Protocol):
     """Stylize every scene in every style, keep the first frames as images, and judge these (Sec. 4 of the paper).
 
     Args:
-        styles: Every style has an image, which the figures compare with.
+        styles: Every style has an image, which the scores compare with.
         guide: Whether a style enters as its image or as its text.
         variant: ``reference`` writes JPEG of quality 75 with truncated values and shows the model all views of a
             scene, as the published scripts do; ``corrected`` writes PNG with rounded values and shows it the frames
@@ -187,7 +187,7 @@ class ModelRenders(Protocol):
         """A style's image, and the style."""
         style = self.styles.read(index)
         if style.image is None:
-            raise UserError(f"style {index} has no image, which the figures compare with; choose other styles")
+            raise UserError(f"style {index} has no image, which the scores compare with; choose other styles")
         if self.guide == "text" and not (style.text and style.text[0].strip()):
             raise UserError(f"style {index} has no text; give captions to all styles, or use protocol.guide=image")
         return style.image, style

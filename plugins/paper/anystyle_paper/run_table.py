@@ -1,4 +1,4 @@
-"""Runs side by side, in the layout of the paper's tables: a row for each variant, columns of figures."""
+"""Runs side by side, in the layout of the paper's tables: a row for each variant, columns of scores."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,14 +11,14 @@ from anystyle.errors import UserError
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.sheet import Cell, TextCard
 from anystyle.paths import natural
-from anystyle_paper.published_figures import PublishedFigure
+from anystyle_paper.published_scores import PublishedScore
 from anystyle_paper.runs import Run
 
 ColumnKey = tuple[str, str]
-"""A scene and the name of a figure."""
+"""A scene and the name of a score."""
 
 ALL = ""
-"""The scene of a figure over all scenes."""
+"""The scene of a score over all scenes."""
 
 _FIRST = ("art_score", "art_fid")
 
@@ -30,8 +30,8 @@ Origin = Literal["ours", "stand-in", "published", "none"]
 class Line:
     """One row of the table: a variant or a published method.
 
-    ``source`` is the origin in words, ``samples`` the values of each figure (one for each seed), ``state`` the text
-    instead of figures where there are none, ``printed`` the text of a figure that is shown as it was printed.
+    ``source`` is the origin in words, ``samples`` the values of each score (one for each seed), ``state`` the text
+    instead of scores where there are none, ``printed`` the text of a score that is shown as it was printed.
     """
 
     title: str
@@ -43,16 +43,16 @@ class Line:
     printed: Mapping[ColumnKey, str] = field(default_factory=dict)
 
     def values(self, column: ColumnKey) -> list[float]:
-        """The values of a figure that are not ``nan``."""
+        """The values of a score that are not ``nan``."""
         return [value for value in self.samples.get(column, ()) if not math.isnan(value)]
 
     def value(self, scene: str, name: str) -> float:
-        """The mean over seeds; ``nan`` where there is no figure."""
+        """The mean over seeds; ``nan`` where there is no score."""
         values = self.values((scene, name))
         return math.fsum(values) / len(values) if values else math.nan
 
     def cell(self, column: ColumnKey) -> str:
-        """A figure as text, with the half-width of its interval where there are several seeds."""
+        """A score as text, with the half-width of its interval where there are several seeds."""
         if self.state or column in self.printed:
             return self.state or self.printed[column]
         values = self.values(column)
@@ -68,9 +68,9 @@ class Line:
 
 
 def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
-    """Rows of runs, and the better direction of their figures.
+    """Rows of runs, and the better direction of their scores.
 
-    Runs that differ only in the seed are one row; figures of stand-in networks are rows of their own.
+    Runs that differ only in the seed are one row; scores of stand-in networks are rows of their own.
     """
     from anystyle_paper.paper_folder import SCENES
 
@@ -97,9 +97,9 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
         title += f" ({missing} images missing)" if missing else ""
         for record in records:
             better.update(record.better)
-            for folder, figures in {ALL: record.figures, **record.scenes}.items():
+            for folder, scores in {ALL: record.scores, **record.scenes}.items():
                 scene = printed.get(folder.casefold(), folder)
-                for name, value in figures.items():
+                for name, value in scores.items():
                     samples[scene, name] = (*samples.get((scene, name), ()), value)
         stand_ins = {name for record in records for name in record.stand_ins}
         sources: dict[Origin, str] = {"ours": "computed here", "stand-in": STAND_IN}
@@ -128,44 +128,44 @@ def _title(run: Run, common: set[str]) -> str:
     return value or own[0]
 
 
-def published_lines(figures: Sequence[PublishedFigure]) -> tuple[list[Line], list[str]]:
-    """Rows of published figures, one for each method and source, and a note for each source."""
-    rows: dict[tuple[str, str], list[PublishedFigure]] = {}
-    for item in figures:
+def published_lines(scores: Sequence[PublishedScore]) -> tuple[list[Line], list[str]]:
+    """Rows of published scores, one for each method and source, and a note for each source."""
+    rows: dict[tuple[str, str], list[PublishedScore]] = {}
+    for item in scores:
         rows.setdefault((item.known_as, item.source), []).append(item)
-    sources = {source: f"[{number}]" for number, source in enumerate(dict.fromkeys(item.source for item in figures), 1)}
+    sources = {source: f"[{number}]" for number, source in enumerate(dict.fromkeys(item.source for item in scores), 1)}
     lines = [_published_line(name, f"published {sources[source]}", items) for (name, source), items in rows.items()]
     return lines, [f"{number} {source}" for source, number in sources.items()]
 
 
-def _published_line(title: str, source: str, items: Sequence[PublishedFigure]) -> Line:
+def _published_line(title: str, source: str, items: Sequence[PublishedScore]) -> Line:
     samples: dict[ColumnKey, tuple[float, ...]] = {}
     printed: dict[ColumnKey, str] = {}
     for item in items:
         # A paper repeats rows in a later table, where it marks nothing.
-        samples.setdefault((item.scene, item.figure), (item.value,))
-        printed.setdefault((item.scene, item.figure), f"{item.printed} ({item.mark})" if item.mark else item.printed)
+        samples.setdefault((item.scene, item.score), (item.value,))
+        printed.setdefault((item.scene, item.score), f"{item.printed} ({item.mark})" if item.mark else item.printed)
     return Line(title, "published", source, samples, printed=printed)
 
 
-def figures_of(lines: Sequence[Line], requested: Sequence[str] = ()) -> list[str]:
-    """The names of the figures to show: the requested ones, or all, with the paper's own first."""
+def scores_of(lines: Sequence[Line], requested: Sequence[str] = ()) -> list[str]:
+    """The names of the scores to show: the requested ones, or all, with the paper's own first."""
     ours = [line for line in lines if line.origin != "published"]
     known = list(dict.fromkeys(name for line in ours or lines for _, name in line.samples))
     if unknown := [name for name in requested if name not in known]:
-        raise UserError(f"no run has the figure {unknown[0]!r}; there are {', '.join(known) or 'none'}")
-    # A protocol may have a figure for each guide: `art_fid_text` is one of `art_fid`.
+        raise UserError(f"no run has the score {unknown[0]!r}; there are {', '.join(known) or 'none'}")
+    # A protocol may have a score for each guide: `art_fid_text` is one of `art_fid`.
     first = [name for prefix in _FIRST for name in known if name == prefix or name.startswith(f"{prefix}_")]
     return list(requested) or first + [name for name in known if name not in first]
 
 
 def scenes_of(lines: Sequence[Line], names: Sequence[str]) -> list[str]:
-    """The scenes for which any row has one of these figures."""
+    """The scenes for which any row has one of these scores."""
     return list(dict.fromkeys(scene for line in lines for scene, name in line.samples if scene and name in names))
 
 
 def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str]) -> list[ColumnKey]:
-    """The figures of each scene for which any row has a value, then those that exist only over all scenes."""
+    """The scores of each scene for which any row has a value, then those that exist only over all scenes."""
     known = {column for line in lines for column in line.samples}
     columns = [(scene, name) for scene in scenes for name in names]
     columns = [column for column in columns if column in known] or columns
@@ -177,16 +177,16 @@ def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str
 def table(
     lines: Sequence[Line], columns: Sequence[ColumnKey], better: Mapping[str, str], *, notes: Sequence[str] = ()
 ) -> Table:
-    """A row for each line and a column for each figure of a scene, or of all scenes together."""
+    """A row for each line and a column for each score of a scene, or of all scenes together."""
     titles = [f"{scene} {titled(name, better)}".strip() for scene, name in columns]
     rows = tuple((line.title, line.source or line.state, *map(line.cell, columns)) for line in lines)
     return Table(("variant", "source", *titles), rows, notes=tuple(notes))
 
 
 def state_notes(lines: Sequence[Line]) -> list[str]:
-    """Notes on runs without figures, on stand-ins, and on intervals."""
+    """Notes on runs without scores, on stand-ins, and on intervals."""
     states = [f"{line.title} ({line.state})" for line in lines if line.state]
-    notes = [f"{len(states)} of {len(lines)} rows have no figures: {', '.join(states)}."] if states else []
+    notes = [f"{len(states)} of {len(lines)} rows have no scores: {', '.join(states)}."] if states else []
     if any(line.origin == "stand-in" for line in lines):
         notes.append(f"Rows marked “{STAND_IN}” come from networks that replace the published ones.")
     notes += version_notes(lines)
@@ -209,7 +209,7 @@ def version_notes(lines: Sequence[Line]) -> list[str]:
             made.setdefault(", ".join(words), []).append(line.title)
     made.pop("", None)  # what a training logged
     if len(made) < 2:
-        return [f"All figures computed here are of {version}." for version in made]
+        return [f"All scores computed here are of {version}." for version in made]
     rows = (f"{version}: {', '.join(dict.fromkeys(titles))}" for version, titles in made.items())
     return [f"Rows are of {len(made)} versions. {'; '.join(rows)}."]
 

@@ -22,7 +22,7 @@ from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress
-from anystyle_paper import published_figures
+from anystyle_paper import published_scores
 from anystyle_paper.model_renders import ModelRenders, Variant, suffix_of, write_picture
 from anystyle_paper.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 
@@ -37,11 +37,11 @@ class Tables(Protocol):
 
     ``root`` holds ``content/SCENE/FRAME.png``, ``styles/STYLE.png`` with ``styles/captions.jsonl``, and for a further
     method ``methods/METHOD/SCENE/STYLE/FRAME.png`` (or ``STYLE_FRAME.png``). Photographs are cut to the size of a
-    method's renders. Each row's figures lie in ``methods/NAME`` of the results, where ``anystyle report`` reads them.
+    method's renders. Each row's scores lie in ``methods/NAME`` of the results, where ``anystyle report`` reads them.
 
     Args:
         root: The folder.
-        table: The paper's table whose figures are computed, such as ``table_2``; ``None`` takes every metric.
+        table: The paper's table whose scores are computed, such as ``table_2``; ``None`` takes every metric.
         guides: How styles enter the model: ``image``, ``text``, or both; none leaves the model out.
         methods: Which folders of methods are judged; ``None`` takes all.
         photographs: How many styles the photographs themselves are judged with, as a baseline that changes nothing; 0
@@ -174,9 +174,9 @@ class Tables(Protocol):
         return replace(
             first,
             n=sum(row.n for row in rows.values()),
-            groups={name: row.figures for name, row in rows.items() if name != title},
+            groups={name: row.scores for name, row in rows.items() if name != title},
             rows=tuple(replace(item, scene=f"{name}/{item.scene}") for name, row in rows.items() for item in row.rows),
-            stand_ins={figure: network for row in rows.values() for figure, network in row.stand_ins.items()},
+            stand_ins={score: network for row in rows.values() for score, network in row.stand_ins.items()},
             provenance={
                 "variant": self.variant,
                 "scenes": list(self.folder.scene_names),
@@ -212,11 +212,11 @@ def _complete_folder(
 def _metrics_of(metrics: Mapping[str, Metric], table: str | None) -> dict[str, Metric]:
     if table is None:
         return dict(metrics)
-    tables = published_figures.tables()
+    tables = published_scores.tables()
     if table not in tables:
         raise UserError(f"table={table}: the paper has {', '.join(tables)}")
-    figures = set(tables[table])
-    chosen = {name: metric for name, metric in metrics.items() if figures & {*metric.better, *type(metric).better}}
+    scores = set(tables[table])
+    chosen = {name: metric for name, metric in metrics.items() if scores & {*metric.better, *type(metric).better}}
     if metrics and not chosen:
-        raise UserError(f"no metric that is chosen has a figure of {table} ({', '.join(tables[table])})")
+        raise UserError(f"no metric that is chosen has a score of {table} ({', '.join(tables[table])})")
     return chosen

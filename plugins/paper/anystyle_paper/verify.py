@@ -1,4 +1,4 @@
-"""Whether figures can be made again: what they rest on, compared with what is there now, and the figures themselves."""
+"""Whether scores can be made again: what they rest on, compared with what is there now, and the scores themselves."""
 
 import contextlib
 import math
@@ -22,23 +22,23 @@ from anystyle.vision import weights
 from anystyle_paper.run_table import Line
 
 ROUNDING = 1e-5
-"""Figures that differ by less than this share of their value are equal within rounding."""
+"""Scores that differ by less than this share of their value are equal within rounding."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What became of figures that were to be made again.
+    """What became of scores that were to be made again.
 
     Args:
-        name: Whose figures they are, such as the folder of an evaluation.
-        figures: How many figures were compared.
+        name: Whose scores they are, such as the folder of an evaluation.
+        scores: How many scores were compared.
         worst: The name of the one that differs most, its value before and now; ``None`` if none differs.
         changed: What it rests on that is not what it was, in words.
         failure: Why it cannot be made again.
     """
 
     name: str
-    figures: int = 0
+    scores: int = 0
     worst: tuple[str, float, float] | None = None
     changed: tuple[str, ...] = ()
     failure: str = ""
@@ -50,21 +50,21 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether the figures were made again, or what they rest on is unchanged where they were not."""
-        return not self.failure and self.difference <= ROUNDING and not (self.changed and not self.figures)
+        """Whether the scores were made again, or what they rest on is unchanged where they were not."""
+        return not self.failure and self.difference <= ROUNDING and not (self.changed and not self.scores)
 
     def __str__(self) -> str:
         changed = f"changed: {', '.join(self.changed)}" if self.changed else "nothing it rests on has changed"
         if self.failure:
             return f"{self.name}: cannot be made again: {self.failure}; {changed}"
-        if not self.figures:  # nothing was made, or times alone
+        if not self.scores:  # nothing was made, or times alone
             return f"{self.name}: {changed}"
         if self.worst is None:
-            return f"{self.name}: all {self.figures} figures are equal; {changed}"
+            return f"{self.name}: all {self.scores} scores are equal; {changed}"
         name, before, now = self.worst
         if self.holds:
             most = f"{name} by {self.difference:.1e} of its value"
-            return f"{self.name}: all {self.figures} figures are equal within rounding, {most}; {changed}"
+            return f"{self.name}: all {self.scores} scores are equal within rounding, {most}; {changed}"
         return f"{self.name}: {name} is {now:.6g} and was {before:.6g}; {changed}"
 
 
@@ -121,7 +121,7 @@ def _weights_now(part: str, entry: Mapping[str, Any], config: Mapping[str, Any])
 
 
 def again(folder: Path, out: Path, on_progress: OnProgress) -> Verification:
-    """Make an evaluation again in the folder ``out``, and compare all its figures but times."""
+    """Make an evaluation again in the folder ``out``, and compare all its scores but times."""
     from anystyle.evaluation.run import run
 
     stored = _stored(folder)
@@ -133,15 +133,15 @@ def again(folder: Path, out: Path, on_progress: OnProgress) -> Verification:
             made = run(OmegaConf.create(config), out, on_progress=on_progress)
         except (UserError, OSError) as error:
             return Verification(str(folder), failure=one_line(error), changed=cheaply(folder).changed)
-    before, now = _figures(stored), _figures(record.read(out) or made)
+    before, now = _scores(stored), _scores(record.read(out) or made)
     return compared(str(folder), before, now, changes(rests_on(known), rests_on(made.provenance)))
 
 
 def compared(
     name: str, before: Mapping[str, float], now: Mapping[str, float], changed: tuple[str, ...]
 ) -> Verification:
-    """The verification of figures, each beside what it was ``before``; one that is lacking ``now`` is nan."""
-    pairs = [(figure, old, now.get(figure, math.nan)) for figure, old in before.items()]
+    """The verification of scores, each beside what it was ``before``; one that is lacking ``now`` is nan."""
+    pairs = [(score, old, now.get(score, math.nan)) for score, old in before.items()]
     worst = max(
         (pair for pair in pairs if _difference(*pair[1:])), key=lambda pair: _difference(*pair[1:]), default=None
     )
@@ -161,15 +161,15 @@ def _stored(folder: Path) -> Evaluation:
     return stored
 
 
-def _figures(evaluation: Evaluation) -> dict[str, float]:
-    """All figures by name, of groups too, but times."""
+def _scores(evaluation: Evaluation) -> dict[str, float]:
+    """All scores by name, of groups too, but times."""
     timed = tuple(evaluation.provenance.get("timed", []))
-    groups = {"": evaluation.figures, **evaluation.groups}
+    groups = {"": evaluation.scores, **evaluation.groups}
     return {
         f"{name} of {group}" if group else name: value
-        for group, figures in groups.items()
-        for name, value in figures.items()
-        if not name.startswith(timed)  # a protocol may have a figure for each guide: `seconds_text`
+        for group, scores in groups.items()
+        for name, value in scores.items()
+        if not name.startswith(timed)  # a protocol may have a score for each guide: `seconds_text`
     }
 
 

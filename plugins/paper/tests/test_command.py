@@ -37,13 +37,13 @@ def test_every_form_is_written(evaluated, tmp_path):
         assert STAND_IN in text and "published [1]" in text and "321.5" in text, name
     rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines()))
     assert {row["source"] for row in rows if row["art_fid ↓"] == "321.5"} == {STAND_IN}
-    with Image.open(tmp_path / "out" / "figures.png") as plot:
+    with Image.open(tmp_path / "out" / "scores.png") as plot:
         assert plot.width > 300 and len(np.unique(np.asarray(plot.convert("L")))) > 4
 
 
 def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_in(evaluated, tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda score, path: drawn.append(score))
     command.Report()([str(evaluated), "--out", str(tmp_path / "out")])
     art_fid, psnr = drawn[0].axes
     assert [label.get_text() for label in art_fid.get_yticklabels()] == ["evaluated"]
@@ -54,13 +54,13 @@ def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_
 
 def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda score, path: drawn.append(score))
     values = [10.0, 12.0, 14.5]
     lines = [
         Line("base", "ours", "", {("", "psnr"): (*values, math.nan)}),
         Line("one", "ours", "", {("", "psnr"): (11.0,)}),
     ]
-    assert bars.draw(lines, [("", "psnr")], {}, tmp_path / "figures.png")
+    assert bars.draw(lines, [("", "psnr")], {}, tmp_path / "scores.png")
     (axis,) = drawn[0].axes
     (interval,) = [container for container in axis.containers if isinstance(container, ErrorbarContainer)]
     low, high = stats.t.interval(0.95, 2, loc=np.mean(values), scale=stats.sem(values))
@@ -72,7 +72,7 @@ def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, monkeypatch):
 
 def test_the_line_of_a_scene_in_the_spread_is_its_score_in_the_table(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda score, path: drawn.append(score))
     rows = tuple(Row("street", style, {"art_fid": value}) for style, value in (("a", 30.0), ("b", 50.0)))
     for facts, groups in (({"scenes": ["street"]}, {}), ({}, {"scene street": {"art_fid": 25.0}})):
         plots.spread(
@@ -109,9 +109,9 @@ def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
         "no folder is named": [],
         "there is no folder": [str(tmp_path / "absent")],
         "holds no runs": [str(tmp_path / "empty")],
-        "is not a valid file of figures": [str(tmp_path / "broken")],
-        "is not a valid file of figures; evaluate again (Number out of range": [str(tmp_path / "infinite")],
-        "is not a valid file of published figures": ["--published", str(tmp_path / "rows.json")],
+        "is not a valid file of scores": [str(tmp_path / "broken")],
+        "is not a valid file of scores; evaluate again (Number out of range": [str(tmp_path / "infinite")],
+        "is not a valid file of published scores": ["--published", str(tmp_path / "rows.json")],
         "unrecognized arguments: --wiht-published. Did you mean '--with-published'?": ["--wiht-published"],
     }
     for told, words in cases.items():

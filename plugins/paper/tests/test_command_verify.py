@@ -1,4 +1,4 @@
-"""`anystyle report verify`: figures made again, and what has changed where they cannot be."""
+"""`anystyle report verify`: scores made again, and what has changed where they cannot be."""
 
 import json
 import shutil
@@ -49,12 +49,12 @@ def test_all_is_made_again_from_anywhere_and_times_are_not_compared(evaluated, c
     assert status == 0 and lines[2:] == ["2 of 2 evaluations hold"]
     assert (
         lines[0]
-        == f"{evaluated / 'first'}: all 3 figures are equal within rounding, psnr by 1.0e-07 of its value; {kept}"
+        == f"{evaluated / 'first'}: all 3 scores are equal within rounding, psnr by 1.0e-07 of its value; {kept}"
     )
-    assert lines[1] == f"{evaluated / 'second'}: all 3 figures are equal; {kept}"
+    assert lines[1] == f"{evaluated / 'second'}: all 3 scores are equal; {kept}"
 
 
-def test_another_figure_is_told_with_what_has_changed(evaluated, capsys):
+def test_another_score_is_told_with_what_has_changed(evaluated, capsys):
     picture(Path("in/stylized/one/a_1.png"), 250)
     edit(evaluated / "second", lambda stored: stored["provenance"]["versions"].update(torch="1.0"))
     status, lines = verified(capsys, evaluated, "--row", "second", "--out", "kept")
@@ -78,9 +78,9 @@ def test_a_row_is_drawn_at_random_or_named(evaluated, capsys):
 
 
 def test_nothing_is_taken_for_granted(evaluated, capsys):
-    """An older record without checksums, a folder that holds earlier figures, and runs that were never judged."""
+    """An older record without checksums, a folder that holds earlier scores, and runs that were never judged."""
     Path("kept").mkdir()
-    with pytest.raises(UserError, match="kept exists; figures are made again in a folder that does not"):
+    with pytest.raises(UserError, match="kept exists; scores are made again in a folder that does not"):
         command_verify.main([str(evaluated), "--all", "--out", "kept"])
     edit(evaluated / "first", lambda stored: stored["provenance"].pop("inputs"))
     with pytest.raises(UserError, match="holds no evaluation with its configuration and checksums of inputs"):
@@ -116,7 +116,7 @@ def test_code_with_uncommitted_changes_is_never_the_same():
 
 def test_the_table_says_whether_its_rows_are_of_one_version(evaluated, capsys):
     command.Report()([str(evaluated)])
-    assert "All figures computed here are of anystyle " in capsys.readouterr().out
+    assert "All scores computed here are of anystyle " in capsys.readouterr().out
     edit(evaluated / "second", lambda stored: stored["provenance"].update(commit="b" * 40))
     command.Report()([str(evaluated)])
     told = capsys.readouterr().out

@@ -90,7 +90,7 @@ def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path):
         found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
     assert restyle.call_count == 4 + 3
     fresh = Paper(**parts, num_styles=3, frames=2).run(tmp_path / "fresh", silent)
-    assert found.figures == fresh.figures and [row.figures for row in found.rows] == [row.figures for row in fresh.rows]
+    assert found.scores == fresh.scores and [row.scores for row in found.rows] == [row.scores for row in fresh.rows]
 
 
 def test_styles_that_lack_what_is_needed(parts, tmp_path):
@@ -105,7 +105,7 @@ def test_styles_that_lack_what_is_needed(parts, tmp_path):
             return self.style
 
     imageless = Paper(**parts | {"styles": Bare(Style(text=("words",)))}, num_scenes=1, frames=1)
-    with pytest.raises(ValueError, match="style 0 has no image, which the figures compare with"):
+    with pytest.raises(ValueError, match="style 0 has no image, which the scores compare with"):
         imageless.run(tmp_path / "a", silent)
     wordless = Bare(Style(image=images(1, (8, 8)), text=(" ",)))
     with pytest.raises(ValueError, match="style 0 has no text; give captions"):

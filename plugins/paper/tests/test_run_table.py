@@ -10,33 +10,33 @@ from scipy import stats
 from anystyle.contracts.protocol import Evaluation
 from anystyle.evaluation import record
 from anystyle.evaluation.tables import STAND_IN
-from anystyle_paper import published_figures as published
+from anystyle_paper import published_scores as published
 from anystyle_paper import run_table as report
 from anystyle_paper import runs
 
 
-def evaluation(folder, figures, *, groups=None, stand_ins=None, better=None):
+def evaluation(folder, scores, *, groups=None, stand_ins=None, better=None):
     folder.mkdir(parents=True, exist_ok=True)
-    found = Evaluation(figures, 4, better=better or {}, groups=groups or {}, stand_ins=stand_ins or {})
+    found = Evaluation(scores, 4, better=better or {}, groups=groups or {}, stand_ins=stand_ins or {})
     record.write(found, folder, {"protocol": "paper"})
     return folder
 
 
-def job(folder, *words, figures=None, logged=None, **more):
+def job(folder, *words, scores=None, logged=None, **more):
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "overrides.yaml").write_text("".join(f"- {word}\n" for word in words) or "[]\n")
     if logged is not None:
         (folder / "metrics.json").write_text(json.dumps(logged))
-    if figures is not None:
-        evaluation(folder / "evaluation", figures, **more)
+    if scores is not None:
+        evaluation(folder / "evaluation", scores, **more)
     return folder
 
 
 @pytest.fixture
 def sweep(tmp_path):
     root = tmp_path / "sweep"
-    job(root / "0", "ablation=base", "experiment=tiny", figures={"art_fid": 20.0}, better={"art_fid": "lower"})
-    job(root / "1", "ablation=no_text", "experiment=tiny", figures={"art_fid": 25.0})
+    job(root / "0", "ablation=base", "experiment=tiny", scores={"art_fid": 20.0}, better={"art_fid": "lower"})
+    job(root / "1", "ablation=no_text", "experiment=tiny", scores={"art_fid": 25.0})
     job(root / "2", "ablation=no_style_loss", "experiment=tiny")
     job(root / "10", "ablation=all_geometry", "experiment=tiny")
     (root / "10" / "last.ckpt").write_bytes(b"half")
@@ -69,11 +69,23 @@ def test_jobs_that_left_nothing_are_missing(sweep):
     ]
 
 
+def test_jobs_that_are_named_by_their_words_are_found_also_where_these_have_a_slash(tmp_path):
+    (tmp_path / "multirun.yaml").write_text(
+        "hydra: {overrides: {task: ['scenes.root=in/a,b', 'seed=0,1', fast_dev_run=false]}}\n"
+    )
+    for name, words in {"scenes.root=in/a,seed=0": "in/a 0", "scenes.root=b,seed=0": "b 0"}.items():
+        root, seed = words.split()
+        job(tmp_path / name, f"scenes.root={root}", f"seed={seed}", "fast_dev_run=False", figures={"art_fid": 20.0})
+    found = {(run.state, *run.words[:2]) for run in runs.find(tmp_path)}
+    finished = {("finished", f"scenes.root={root}", "seed=0") for root in ("in/a", "b")}
+    assert found == finished | {("missing", f"scenes.root={root}", "seed=1") for root in ("in/a", "b")}
+
+
 def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     values = {"base": (10.0, 12.0, 14.5), "no_text": (20.0, 21.0, 19.0)}
     for v, (name, some) in enumerate(values.items()):
         for s, value in enumerate(some):
-            job(tmp_path / str(3 * v + s), f"ablation={name}", f"seed={s}", figures={"art_fid": value})
+            job(tmp_path / str(3 * v + s), f"ablation={name}", f"seed={s}", scores={"art_fid": value})
     lines, better = report.lines_of(runs.find(tmp_path))
     assert [line.title for line in lines] == ["base", "no_text"]
     low, high = stats.t.interval(0.95, 2, loc=np.mean(values["base"]), scale=stats.sem(values["base"]))
@@ -83,7 +95,7 @@ def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     assert "3 seeds" in report.state_notes(lines)[-1]
 
 
-def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):
+def test_scores_of_stand_ins_are_rows_of_their_own(tmp_path):
     folder = evaluation(tmp_path / "run", {"art_fid": 300.0, "psnr": 20.0}, stand_ins={"art_fid": "texture"})
     lines, _ = report.lines_of(runs.find(folder))
     assert [(line.source, sorted(name for _, name in line.samples)) for line in lines] == [
@@ -96,19 +108,19 @@ def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):
         assert all(row[1] == said for value, said in kinds.items() if value in row[2:])
 
 
-def test_published_figures_are_sourced():
-    figures = published.load()
-    assert all(item.source and item.table and np.isfinite(item.value) for item in figures)
+def test_published_scores_are_sourced():
+    scores = published.load()
+    assert all(item.source and item.table and np.isfinite(item.value) for item in scores)
     directed = published.better()
-    assert all(item.figure in directed for item in figures if item.table != "table_1")
+    assert all(item.score in directed for item in scores if item.table != "table_1")
 
 
-def test_files_of_published_figures_that_cannot_be_read(tmp_path):
+def test_files_of_published_scores_that_cannot_be_read(tmp_path):
     path = tmp_path / "mine.json"
     for text in ("[]", "{", '{"sources": {}, "rows": [{"method": "a"}]}'):
         path.write_text(text)
         with pytest.raises(
-            ValueError, match=r"mine\.json is not a valid file of published figures.* as in published\.json"
+            ValueError, match=r"mine\.json is not a valid file of published scores.* as in published\.json"
         ):
             published.load([path])
 
@@ -117,14 +129,14 @@ def test_scenes_are_columns_in_the_order_of_the_paper(tmp_path):
     groups = {f"scene {name}": {"art_score": 9.0 + i, "art_fid": 20.0 + i} for i, name in enumerate(("Train", "M60"))}
     folder = evaluation(tmp_path / "run", {"art_fid": 20.5, "art_score": 9.5, "lpips": 0.4}, groups=groups)
     lines, _ = report.lines_of(runs.find(folder))
-    assert report.figures_of(lines) == ["art_score", "art_fid", "lpips"]
+    assert report.scores_of(lines) == ["art_score", "art_fid", "lpips"]
     scenes = report.scenes_of(lines, ["art_score", "art_fid"])
     columns = report.columns_of(lines, ["art_score", "art_fid"], scenes)
     made = report.table(lines, columns, published.better())
     assert made.columns[2:] == ("Train art_score ↑", "Train art_fid ↓", "M60 art_score ↑", "M60 art_fid ↓")
     assert made.rows[0][2:] == ("9", "20", "10", "21")
-    with pytest.raises(ValueError, match="no run has the figure 'nothing'; there are art_fid, art_score, lpips"):
-        report.figures_of(lines, ["nothing"])
+    with pytest.raises(ValueError, match="no run has the score 'nothing'; there are art_fid, art_score, lpips"):
+        report.scores_of(lines, ["nothing"])
 
 
 def test_one_scene_stands_beside_the_published_one_of_its_name(tmp_path):

@@ -12,7 +12,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
-from anystyle_paper import published_figures, run_table
+from anystyle_paper import published_scores, run_table
 from anystyle_paper.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle_paper.runs import find
 from anystyle_paper.tables import Tables
@@ -139,11 +139,11 @@ def test_a_complete_folder_passes(tmp_path):
     assert PaperFolder(tmp_path).problems() == []
 
 
-def test_a_table_takes_the_metrics_of_its_figures(root):
+def test_a_table_takes_the_metrics_of_its_scores(root):
     both = {"art_fid": Mean("art_fid"), "other": Mean("warp_rmse_short")}
     assert list(tables(root, metrics=both, table="table_2").metrics) == ["art_fid"]
     assert list(tables(root, metrics=both, table="table_4").metrics) == ["other"]
-    with pytest.raises(ValueError, match="no metric that is chosen has a figure of table_5"):
+    with pytest.raises(ValueError, match="no metric that is chosen has a score of table_5"):
         tables(root, metrics={"other": Mean("warp_rmse_short")}, table="table_5")
     with pytest.raises(ValueError, match="root is not given"):
         tables(root, root=None)
@@ -154,12 +154,12 @@ SCENES_OF = {"table_2": PRINTED, "table_3": PRINTED, "table_4": PRINTED, "table_
 
 
 @pytest.mark.parametrize(("name", "scenes"), SCENES_OF.items())
-def test_each_table_of_figures_is_a_word(name, scenes):
+def test_each_table_of_scores_is_a_word(name, scenes):
     config = compose("evaluate", [f"protocol={name.replace('_', '')}", "root=x"])
     assert (config.protocol.table, config.protocol.variant.value) == (name, "reference")
     assert list(config.protocol.scene_names) == scenes
     judges = [catalog().find("metric", metric).load() for metric in config.metric]
-    assert {*published_figures.tables()[name]} <= {"time_s"}.union(*(judge.better for judge in judges))
+    assert {*published_scores.tables()[name]} <= {"time_s"}.union(*(judge.better for judge in judges))
     # No table but the second and the fourth shows photographs, and the third's rows are models.
     assert (config.protocol.photographs > 0) is (name in ("table_2", "table_4"))
     assert (config.protocol.methods == []) is (name == "table_3")

@@ -1,4 +1,4 @@
-"""The bundled tiny encoder on styles held out from its training: the figures its model card states."""
+"""The bundled tiny encoder on styles held out from its training: the scores its model card states."""
 
 import pytest
 import torch

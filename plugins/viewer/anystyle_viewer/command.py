@@ -1,6 +1,7 @@
 """``anystyle view``: a scene in the browser, or as one HTML file."""
 
 import argparse
+import logging
 import sys
 import time
 from collections.abc import Sequence
@@ -22,6 +23,8 @@ from anystyle.pipeline.stages import Stages
 from anystyle.registry.compose import only_options
 from anystyle.vision.weights import license_lines, licenses
 from anystyle_viewer.session import CACHE_SIZE, Session
+
+_log = logging.getLogger(__name__)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -51,6 +54,8 @@ def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -
         styles = {title: scene for title, scene in saved.styles if title != UNSTYLED}
         notes, pictures = list(dict.fromkeys((*saved.notes, *notes))), saved.pictures
     restyler = Restyler(encoded, model.method, keep=CACHE_SIZE)
+    if restyler.unstyled.antialiased:
+        _log.warning("%s was trained with antialiasing, which films here are drawn with, and the window is not", path)
     return Session(restyler, saved=styles, folder=folder, notes=notes, pictures=pictures)
 
 
@@ -69,7 +74,7 @@ class View(Command):
 
 def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
     splat = only_options("splat", overrides)
-    saved = read_saved(arguments.input, splat.up, activated=splat.activated)
+    saved = read_saved(arguments.input, splat)
     saved = replace(saved, title=arguments.input.resolve().stem)
     size = export_styles(saved, arguments.html, "html")
     print(f"{arguments.html}: {len(saved.styles)} styles, {size / 1e6:.2f} MB; open it in any browser")

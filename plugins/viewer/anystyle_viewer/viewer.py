@@ -12,7 +12,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.sheet import to_pil
-from anystyle.pipeline.export import export, export_styles
+from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.saved import UNSTYLED
 from anystyle.registry.catalog import catalog
 from anystyle.types import Gaussians, StyledScene
@@ -256,5 +256,5 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             shared["photographed"] = self.encoded.photographed
             export_styles(StyledScene(*given, notes, page_title, **shared), path, "html")
         else:
-            lines = "\n".join((title, *session.notes))
-            export(session.gaussians, path, path.name.partition(".")[2], notes=lines, offset=self.encoded.offset)
+            one = StyledScene(((title, session.gaussians),), notes=(title, *session.notes), offset=self.encoded.offset)
+            export_styles(one, path, path.name.partition(".")[2])

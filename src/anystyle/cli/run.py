@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -95,16 +96,30 @@ def message(error: BaseException) -> str | None:
 
 
 def name_plugin(error: BaseException) -> None:
-    """Add a note to an error that came from the code of a third party's plugin: how to check its contract."""
+    """Add a note to an error that came from a third party's package: of which plugin, and how to check its contract.
+
+    It is the plugin of which the innermost object is that was at work; where none was, only the package is named.
+    """
     from anystyle.registry.catalog import catalog, location_in
 
-    for plugin in catalog():
-        location = "" if plugin.origin == "anystyle" else location_in(error, plugin.target.partition(":")[0])
-        if location:
-            error.add_note(
-                f"{plugin}{location}; `anystyle plugins check {plugin.kind} {plugin.name}` checks its contract"
-            )
+    rows = [row for row in catalog() if row.origin != "anystyle"]
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][::-1]
+    raised = (_package(frame.f_globals.get("__name__")) for frame in frames)
+    package = next((name for name in raised if name in {_package(row.target) for row in rows}), None)
+    if package is None:
+        return
+    location = location_in(error, package)
+    plugins = {row.target.partition(":")[2]: row for row in rows if _package(row.target) == package}
+    for cls in (cls for frame in frames for cls in type(frame.f_locals.get("self")).__mro__):
+        if (plugin := plugins.get(cls.__qualname__)) and _package(cls.__module__) == package:
+            check = f"`anystyle plugins check {plugin.kind} {plugin.name}` checks its contract"
+            error.add_note(f"{plugin}{location}; {check}")
             return
+    error.add_note(f"it was raised in the package {package}{location}")
+
+
+def _package(module: object) -> str:
+    return str(module).partition(":")[0].partition(".")[0]
 
 
 def words_of(words: Sequence[str] | None) -> list[str]:

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -14,9 +14,12 @@ from anystyle.cli.launch import describe, job_folder, launch, returned
 from anystyle.cli.progress import progress_lines
 from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
-from anystyle.evaluation import run as evaluation
 from anystyle.evaluation.layout import DEFAULTS
-from anystyle.evaluation.run import RUN_OR_IMAGES, Images, configured, trained_runs
+from anystyle.pipeline.trained import configured, trained_runs
+from anystyle.registry.compose import check_choices
+
+if TYPE_CHECKING:  # torch takes seconds, in which a mistyped word is answered
+    from anystyle.evaluation.run import Images
 
 
 def parser() -> argparse.ArgumentParser:
@@ -41,11 +44,13 @@ def parser() -> argparse.ArgumentParser:
     return flags
 
 
-def job(config: DictConfig, images: Images | None, folder: Path | None, out: str | None) -> Any:
+def job(config: DictConfig, images: "Images | None", folder: Path | None, out: str | None) -> Any:
     """Judge images, or the model of a training in ``folder``, or one that is configured.
 
     Prints the table, and returns the values of ``objective``.
     """
+    from anystyle.evaluation import run as evaluation
+
     target, flags = job_folder(out or "evaluation"), list[str]()
     if images is not None:
         config, flags = images.configured(config), images.flags
@@ -56,7 +61,7 @@ def job(config: DictConfig, images: Images | None, folder: Path | None, out: str
     found = evaluation.run(config, target, flags=flags, on_progress=progress_lines())
     print((target / "table.md").read_text(encoding="utf-8"), end="")
     print(f"\nin {target}: {', '.join(path.name for path in sorted(target.iterdir()) if path.is_file())}")
-    return returned(config.objective, found.figures)
+    return returned(config.objective, found.scores)
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -68,6 +73,9 @@ def main(words: Sequence[str] | None = None) -> None:
         arguments, rest = split(flags, words_of(words))
         if {"-m", "--multirun"} & {*rest}:
             rest = ["hydra.output_subdir=.hydra", *rest]
+        check_choices(rest)
+        from anystyle.evaluation.run import RUN_OR_IMAGES, Images
+
         given = (getattr(arguments, name) for name in ("content", "style", "stylized", "depth", "layout"))
         images, out = Images.of(*given), arguments.out
         if images is not None:

@@ -42,7 +42,7 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
             "a folder of results is in OpenCV's axes; --from-up and splat.KEY=VALUE are for files of others"
         )
     splat = only_options("splat", overrides) if overrides else SplatOptions()
-    saved = read_saved(arguments.scene, arguments.from_up or splat.up, activated=splat.activated)
+    saved = read_saved(arguments.scene, replace(splat, up=arguments.from_up or splat.up))
     saved = replace(saved, title=arguments.scene.resolve().stem)
     size = export_styles(saved, arguments.out, name, up=arguments.up)
     print(f"{arguments.out}: {size / 1e6:.2f} MB, {saved.styles[-1][0]}")

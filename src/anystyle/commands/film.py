@@ -51,7 +51,7 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Film what the arguments name as a configuration says."""
     video, splat, render = Film(options(config, "video")), options(config, "splat"), build(Renderer, config.renderer)
     path = file_of(arguments.scene)
-    given = read_unturned(path, splat.up, activated=splat.activated)
+    given = read_unturned(path, splat)
     saved = with_stored_cameras(in_axes("opencv", given), path, splat.folder, given.up)
     titles = [title for title, _ in saved.styles]
     if arguments.style not in (None, *titles):

@@ -56,8 +56,9 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     formats = [(name, catalog().find("format", name).load()) for name in request.export.formats]
     pages = [target / f"scene.{name}" for name, kind in formats if kind.many_styles and not kind.reads]
     page = next((path for path in pages if path.is_file()), target / "sheet.png")
+    own = "".join(f"; each style has a {path.name} in its folder" for path in pages if not path.is_file())
     took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
-    print(f"{scenes} in {target} in {took}; look at {page}")
+    print(f"{scenes} in {target} in {took}; look at {page}{own}")
     if arguments.open:
         show(page.resolve().as_uri())
 

@@ -15,7 +15,6 @@ from anystyle.cli.launch import main, returned
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.paths import shown
-from anystyle.training.run import train
 
 
 def run(config: DictConfig) -> Any:
@@ -34,12 +33,15 @@ def _run(config: DictConfig, out: Path) -> Any:
     check_devices(config)
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("lightning.pytorch.profilers").setLevel(logging.INFO)  # the report of trainer.profiler
+    for name in ("profilers", "callbacks.model_summary"):  # what trainer.profiler and enable_model_summary print
+        logging.getLogger(f"lightning.pytorch.{name}").setLevel(logging.INFO)
 
     def on_begin(step: int) -> None:
         write_hydra_files(config, out)
         if 0 < step < config.trainer.max_steps:
             print(f"resuming from step {step} of {config.trainer.max_steps}", file=sys.stderr, flush=True)
+
+    from anystyle.training.run import train  # Lightning takes seconds, in which a mistyped word is answered
 
     outcome = train(config, out, on_begin)
     if outcome.rank_zero and outcome.finished:

@@ -23,6 +23,12 @@ class Format(Pluggable, ABC):
     has_offset: ClassVar[bool] = False
     """Whether a file has room for :attr:`~anystyle.types.StyledScene.offset`."""
 
+    has_antialiasing: ClassVar[bool] = False
+    """Whether a file says that its Gaussians are :class:`~anystyle.types.AntialiasedGaussians`."""
+
+    max_degree: ClassVar[int | None] = None
+    """The highest degree of harmonics that a file has room for; ``None`` is any."""
+
     many_styles: ClassVar[bool] = False
     """Whether a file has room for several styles."""
     shared: ClassVar[tuple[str, ...]] = ()

@@ -1,4 +1,4 @@
-"""Protocols and their results: figures of a model or of images, with everything that they rest on."""
+"""Protocols and their results: scores of a model or of images, with everything that they rest on."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -11,19 +11,19 @@ from anystyle.registry.catalog import Pluggable
 from anystyle.types import OnProgress
 
 SCENE = "scene "
-"""The prefix of groups that hold the figures of one scene."""
+"""The prefix of groups that hold the scores of one scene."""
 
 _Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True)
 class Row:
-    """The figures of one scene in one style.
+    """The scores of one scene in one style.
 
     Args:
         scene: Its name; empty where a row stands for a style over all scenes.
         style: Its name; empty where a row stands for a scene over all styles.
-        figures: Value by name; ``nan`` where there were too few images.
+        scores: Value by name; ``nan`` where there were too few images.
         pictures: Images to show, by kind (``photograph``, ``style``, ``result``).
         n: Number of images, where they were counted.
         missing: Number of images that there should be besides.
@@ -31,7 +31,7 @@ class Row:
 
     scene: str
     style: str
-    figures: Mapping[str, float]
+    scores: Mapping[str, float]
     pictures: Mapping[str, Path] = field(default_factory=dict)
     n: int | None = None
     missing: int = 0
@@ -42,17 +42,17 @@ class Evaluation:
     """The result of a protocol.
 
     Args:
-        figures: Value by name, over everything; ``nan`` where there were too few images.
-        n: Number of samples (images, unless ``provenance`` says otherwise) behind the figures.
-        better: ``higher`` or ``lower`` for figures that have a better direction.
-        groups: Further figures by name of a group, such as ``baseline`` or one scene.
-        rows: The figures of each scene in each style.
-        stand_ins: The name of the stand-in network behind a figure, which is not comparable with published ones.
+        scores: Value by name, over everything; ``nan`` where there were too few images.
+        n: Number of samples (images, unless ``provenance`` says otherwise) behind the scores.
+        better: ``higher`` or ``lower`` for scores that have a better direction.
+        groups: Further scores by name of a group, such as ``baseline`` or one scene.
+        rows: The scores of each scene in each style.
+        stand_ins: The name of the stand-in network behind a score, which is not comparable with published ones.
         times: Measured seconds by name; lower is better, and they vary between runs.
-        provenance: What else the figures rest on, such as the variant, as JSON values.
+        provenance: What else the scores rest on, such as the variant, as JSON values.
     """
 
-    figures: Mapping[str, float]
+    scores: Mapping[str, float]
     n: int
     better: Mapping[str, str] = field(default_factory=dict)
     groups: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -63,10 +63,10 @@ class Evaluation:
 
     @property
     def scenes(self) -> dict[str, Mapping[str, float]]:
-        """The figures of each scene; those over all scenes where there is only one."""
+        """The scores of each scene; those over all scenes where there is only one."""
         scenes = {name.removeprefix(SCENE): group for name, group in self.groups.items() if name.startswith(SCENE)}
         names = self.provenance.get("scenes", [])
-        return scenes or ({str(names[0]): self.figures} if len(names) == 1 and names[0] else {})
+        return scenes or ({str(names[0]): self.scores} if len(names) == 1 and names[0] else {})
 
     @property
     def size(self) -> str:
@@ -108,10 +108,10 @@ class Protocol(Pluggable, ABC):
 
     @abstractmethod
     def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
-        """Compute the figures.
+        """Compute the scores.
 
         Expensive results are written below ``out`` as they are finished, under their final name only when they are
-        complete, and read the next time: an interrupted run resumes and ends with the figures of an uninterrupted one.
+        complete, and read the next time: an interrupted run resumes and ends with the scores of an uninterrupted one.
         The names ``metrics.*``, ``table.*`` and ``*.png`` in ``out`` itself are reserved for the command.
 
         Args:

@@ -89,9 +89,20 @@ class Renderer(Pluggable, ABC):
     equal ones the first by name, and gives it the options ``background, near, far, eps2d``. 0: never taken; 1: plain
     PyTorch; 10: the kernels that come with anystyle."""
 
+    @classmethod
+    def lacks(cls) -> str | None:
+        """What it needs and is not on this machine, and what to install, after "the renderer ..."; ``None`` if it runs.
+
+        ``renderer=auto`` asks before it takes one.
+        """
+        return None
+
     @abstractmethod
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
-        """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
+        """Render every camera of every scene, differentiable in the Gaussians and the camera poses.
+
+        Opacities of :class:`~anystyle.types.AntialiasedGaussians` are lowered as that class says.
+        """
 
     def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView | None:
         """A view of one scene, if the renderer has a faster way to it and to its transpose than its gradient."""

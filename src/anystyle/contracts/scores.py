@@ -72,7 +72,7 @@ def _gathered(tensor: Tensor, group: Any = None) -> list[Tensor]:
 
 
 class Metric(Pluggable, torchmetrics.Metric, ABC):
-    """A figure of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor.
+    """A score of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor.
 
     An author writes ``update(self, comparison)``. It is called with a :class:`Comparison` or, as metrics of
     torchmetrics are, with tensors: ``metric.update(preds, target)``.
@@ -82,16 +82,16 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     runtime = ("style_encoder", "correspondence")
 
     better: ClassVar[Mapping[str, str]]
-    """For each figure that :meth:`compute` returns, ``higher`` or ``lower``; an instance may have other names."""
+    """For each score that :meth:`compute` returns, ``higher`` or ``lower``; an instance may have other names."""
 
     timed: ClassVar[bool] = False
-    """Whether its figures are times, which vary between runs on the same images."""
+    """Whether its scores are times, which vary between runs on the same images."""
 
     stand_ins: Mapping[str, str] = MappingProxyType({})
-    """Set by an instance: for each figure that a stand-in network computes, the network's name."""
+    """Set by an instance: for each score that a stand-in network computes, the network's name."""
 
     weights: Mapping[str, str] = MappingProxyType({})
-    """Set by an instance: the SHA-256 of every file of weights that figures rest on, by the file's name."""
+    """Set by an instance: the SHA-256 of every file of weights that scores rest on, by the file's name."""
 
     takes: ClassVar[Sequence[str]] = ()
     """The arguments of :meth:`Comparison.from_images` that ``update`` has in the place of a comparison, the positional
@@ -121,30 +121,30 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
 
     @abstractmethod
     def compute(self) -> Tensor | dict[str, Tensor]:
-        """The one figure of ``better`` over all that was taken in, or a dict where it names several.
+        """The one score of ``better`` over all that was taken in, or a dict where it names several.
 
-        A figure is ``nan``, with a warning, where there was too little.
+        A score is ``nan``, with a warning, where there was too little.
         """
 
     @final
-    def figures(self) -> dict[str, Tensor]:
-        """What :meth:`compute` returns, by name, for a metric with one figure as well."""
+    def scores(self) -> dict[str, Tensor]:
+        """What :meth:`compute` returns, by name, for a metric with one score as well."""
         value = self.compute()
         return value if isinstance(value, dict) else dict.fromkeys(self.better, value)
 
     def of_each_row(self) -> dict[str, Float[Tensor, " N"]]:
-        """Figures that each row taken in, in order, has only beside the others of its scene."""
+        """Scores that each row taken in, in order, has only beside the others of its scene."""
         return {}
 
     def plot(self, val: Any = None, ax: Any = None) -> Any:
-        """Draw figures as other metrics of torchmetrics do; needs matplotlib (``pip install "anystyle[report]"``).
+        """Draw scores as other metrics of torchmetrics do; needs matplotlib (``pip install "anystyle[report]"``).
 
         Args:
             val: What :meth:`compute` or a call returned, or a list of these, one per step; computed if not given.
             ax: Matplotlib's axes to draw on.
 
         Returns:
-            Matplotlib's figure and axes.
+            Matplotlib's score and axes.
         """
         return self._plot(val, ax)
 

@@ -1,1 +1,1 @@
-"""Evaluation: protocols that turn a model or folders of images into figures, and the tables made of them."""
+"""Evaluation: protocols that turn a model or folders of images into scores, and the tables made of them."""

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.data.images import image_size, open_image, to_tensor
+from anystyle.data.images import image_size, open_alpha, open_image, to_tensor
 from anystyle.errors import UserError
 from anystyle.evaluation.names import Names
 from anystyle.evaluation.pairing import StylizedImages
@@ -30,6 +30,8 @@ class Reader:
     """Reads cells as comparisons; the photographs of a scene are decoded once and stay the same tensor."""
 
     def __init__(self) -> None:
+        self.transparent: list[Path] = []
+        """The results of which something is transparent, and was put on white."""
         self._content = lru_cache(1)(_read_stack)
         self._reference = lru_cache(256)(read)
         self._depth = lru_cache(1)(_read_depths)
@@ -43,6 +45,7 @@ class Reader:
             "give fewer frames a scene, or smaller ones",
         )
         stylized, content = _read_stack(cell.stylized), self._content(cell.content)
+        self.transparent += [path for path in cell.stylized if open_alpha(path) is not None]
         if (size := _size(stylized)) != _size(content):
             photograph = f"its photograph {cell.content[0]} {_size(content)}"
             raise UserError(f"{cell.stylized[0]} has {size} pixels and {photograph}; give both in one size")

@@ -50,7 +50,9 @@ class Folders(Protocol):
     def check(cls, **given: Any) -> Pairing:
         content, style, stylized = (Path(given[name]) for name in ("content", "style", "stylized"))
         depth = None if given["depth"] is None else Path(given["depth"])
-        return pair(content, style, stylized, depth, layout=given["layout"], missing=given["missing"])
+        pairing = pair(content, style, stylized, depth, layout=given["layout"], missing=given["missing"])
+        pairing.refuse_numbered_anew()
+        return pairing
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""The metric loop: figures of each scene in each style, of each scene, and over all scenes."""
+"""The metric loop: scores of each scene in each style, of each scene, and over all scenes."""
 
 import logging
 import math
@@ -23,10 +23,10 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class SceneFigures:
-    """The figures of one metric for one scene: over all styles and of each, with the metric's warnings."""
+class SceneScores:
+    """The scores of one metric for one scene: over all styles and of each, with the metric's warnings."""
 
-    figures: Mapping[str, float]
+    scores: Mapping[str, float]
     styles: Mapping[str, Mapping[str, float]]
     better: Mapping[str, str] = field(default_factory=dict)
     stand_ins: Mapping[str, str] = field(default_factory=dict)
@@ -34,9 +34,9 @@ class SceneFigures:
 
 
 def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> Evaluation:
-    """The figures of metrics over comparisons of one scene in one style each.
+    """The scores of metrics over comparisons of one scene in one style each.
 
-    Over several scenes a figure is the mean of the scenes' figures, as published tables have one for each scene.
+    Over several scenes a score is the mean of the scenes' scores, as published tables have one for each scene.
 
     Args:
         metrics: By name; they are reset.
@@ -54,7 +54,7 @@ def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> E
 def judge_pairing(
     metrics: Mapping[str, Metric], pairing: Pairing, on_progress: OnProgress, *, stage: str = "judge"
 ) -> Evaluation:
-    """The figures of paired image files."""
+    """The scores of paired image files."""
     if not metrics:
         raise UserError("no metric is chosen; add metric=[NAME,...] (`anystyle plugins metric` lists them)")
     if not pairing.cells:
@@ -66,14 +66,16 @@ def judge_pairing(
             on_progress(Progress.count(stage, next(steps), total))
             yield reader(cell)
 
-    lacking = pairing.lacking()
-    if lacking:
-        log.warning("%s", lacking)
+    told = [pairing.lacking()]
     by_scene: dict[str, list[StylizedImages]] = {}
     for cell in pairing.cells:
         by_scene.setdefault(cell.scene, []).append(cell)
     scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in by_scene.items()}
     on_progress(Progress.count(stage, total, total))
+    if some := reader.transparent:
+        told += [f"{len(some)} stylized images are transparent in places and judged on white, such as {some[0]}"]
+    for line in filter(None, told):
+        log.warning("%s", line)
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
     rows = {(row.scene, row.style): row for row in evaluation.rows}
     for cell in pairing.cells:
@@ -85,7 +87,7 @@ def judge_pairing(
     gaps = ({"scene": row.scene, "style": row.style, "n": row.n, "missing": row.missing} for row in ordered)
     return replace(evaluation, rows=tuple(ordered)).with_facts(
         missing=[gap for gap in gaps if gap["missing"]],
-        warnings=[*([lacking] if lacking else []), *evaluation.provenance["warnings"]],
+        warnings=[*filter(None, told), *evaluation.provenance["warnings"]],
     )
 
 
@@ -99,19 +101,19 @@ def judge_scene(
     metrics: Mapping[str, Metric],
     comparisons: Iterable[Comparison],
     on_error: Callable[[str, Exception], None] = raised,
-) -> dict[str, SceneFigures]:
-    """The figures of each metric for a scene, given in one style each.
+) -> dict[str, SceneScores]:
+    """The scores of each metric for a scene, given in one style each.
 
-    A metric is updated once with each comparison; the scene's figures are computed from the merged states.
+    A metric is updated once with each comparison; the scene's scores are computed from the merged states.
 
     Args:
         metrics: By name; they are reset.
         comparisons: Each of this scene in one style, with the style's name.
-        on_error: Called with the name of a metric that raises a ValueError, and the error; the metric has no figures
+        on_error: Called with the name of a metric that raises a ValueError, and the error; the metric has no scores
             then, and the others have theirs. By default the error is raised.
     """
     metrics = dict(metrics)
-    # `Metric.forward` mixes the warnings of `update` with those of a style's figures, copies all states each time and
+    # `Metric.forward` mixes the warnings of `update` with those of a style's scores, copies all states each time and
     # enables gradients.
     styles: dict[str, dict[str, dict[str, float]]] = {name: {} for name in metrics}
     warned: dict[str, list[str]] = {name: [] for name in metrics}
@@ -119,7 +121,7 @@ def judge_scene(
     for index, comparison in enumerate(comparisons):
         style = comparison.styles[0] if comparison.styles else f"{index:02d}"
         for name, metric in [*metrics.items()]:
-            metric.compute_with_cache = False  # a style's figure must not be returned for the scene
+            metric.compute_with_cache = False  # a style's score must not be returned for the scene
             metric.reset()
             try:
                 with _recorded_warnings(warned[name], name):
@@ -138,48 +140,48 @@ def judge_scene(
             states[name] = {
                 key: [*value] if isinstance(value, list) else value for key, value in metric.metric_state.items()
             }
-    scene: dict[str, SceneFigures] = {}
+    scene: dict[str, SceneScores] = {}
     for name, metric in metrics.items():
         try:
             with _recorded_warnings(warned[name], name):
-                figures = _compute(metric)
+                scores = _compute(metric)
         except ValueError as error:
             on_error(name, error)
             continue
-        for figure, values in metric.of_each_row().items():
+        for score, values in metric.of_each_row().items():
             for row, value in zip(styles[name].values(), values.tolist(), strict=True):
-                row[figure] = value
+                row[score] = value
         metric.reset()
         better, stand_ins = dict(metric.better), dict(metric.stand_ins)
-        scene[name] = SceneFigures(figures, styles[name], better, stand_ins, tuple(warned[name]))
+        scene[name] = SceneScores(scores, styles[name], better, stand_ins, tuple(warned[name]))
     return scene
 
 
-def aggregate(scenes: Mapping[str, Mapping[str, SceneFigures]], *, n: int) -> Evaluation:
-    """The figures over all scenes, from those of each metric for each; ``n`` is the number of stylized images."""
-    results = [figures for metrics in scenes.values() for figures in metrics.values()]
+def aggregate(scenes: Mapping[str, Mapping[str, SceneScores]], *, n: int) -> Evaluation:
+    """The scores over all scenes, from those of each metric for each; ``n`` is the number of stylized images."""
+    results = [scores for metrics in scenes.values() for scores in metrics.values()]
     warned = [text for result in results for text in result.warned]
     by_scene: dict[str, dict[str, float]] = {scene: {} for scene in scenes}
     rows: dict[tuple[str, str], dict[str, float]] = {}
     for scene, metrics in scenes.items():
         for result in metrics.values():
-            by_scene[scene].update(result.figures)
-            for style, figures in result.styles.items():
-                rows.setdefault((scene, style), {}).update(figures)
+            by_scene[scene].update(result.scores)
+            for style, scores in result.styles.items():
+                rows.setdefault((scene, style), {}).update(scores)
     means: dict[str, float] = {}
     for name in dict.fromkeys(chain.from_iterable(by_scene.values())):
-        values = {scene: figures.get(name, math.nan) for scene, figures in by_scene.items()}
+        values = {scene: scores.get(name, math.nan) for scene, scores in by_scene.items()}
         means[name] = mean(list(values.values()))
         lacking = [scene for scene, value in values.items() if math.isnan(value)]
         if 0 < len(lacking) < len(scenes):
             without = ", ".join(lacking)
             warned.append(f"{name} is the mean over the scenes without {without}, which have too little for it")
     return Evaluation(
-        figures=means,
+        scores=means,
         n=n,
         better={name: better for result in results for name, better in result.better.items()},
-        groups={f"{SCENE}{scene}": figures for scene, figures in by_scene.items()} if len(scenes) > 1 else {},
-        rows=tuple(Row(scene, style, figures) for (scene, style), figures in rows.items()),
+        groups={f"{SCENE}{scene}": scores for scene, scores in by_scene.items()} if len(scenes) > 1 else {},
+        rows=tuple(Row(scene, style, scores) for (scene, style), scores in rows.items()),
         stand_ins={name: network for result in results for name, network in result.stand_ins.items()},
         provenance={"scenes": list(scenes), "warnings": list(dict.fromkeys(warned))},
     )
@@ -204,4 +206,4 @@ def _recorded_warnings(texts: list[str], metric: str) -> Iterator[None]:
 
 
 def _compute(metric: Metric) -> dict[str, float]:
-    return {name: float(value) for name, value in metric.figures().items()}
+    return {name: float(value) for name, value in metric.scores().items()}

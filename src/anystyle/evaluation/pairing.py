@@ -83,6 +83,22 @@ class Pairing:
         if told := self.lacking():
             raise UserError(f"{told}; add them, or missing=allow to judge what is there")
 
+    def refuse_numbered_anew(self) -> None:
+        """Raise a UserError where results numbered from the start may be of other views than the first photographs."""
+        for scene in {gap.scene for gap in self.missing}:
+            given = {frame for cell in self.cells if cell.scene == scene for frame in cell.frames}
+            absent = {frame for gap in self.missing if gap.scene == scene for frame in gap.frames} - given
+            if not (given and absent) or not all(frame.isdecimal() for frame in given | absent):
+                continue
+            numbers = sorted(map(int, given))
+            if numbers[0] <= 1 and numbers[-1] - numbers[0] < len(numbers) and min(map(int, absent)) > numbers[-1]:
+                counted = f"{len(given)} of {len(given | absent)} views of {scene or 'the scene'}"
+                raise UserError(
+                    f"the results of {counted} are numbered {numbers[0]} to {numbers[-1]}: these may be the first "
+                    "photographs, or others, such as every eighth, numbered anew; name them by their photographs, or "
+                    "give --content a folder of those photographs alone"
+                )
+
     def _images(self) -> str:
         count = sum(len(gap.frames) for gap in self.missing)
         expected = count + sum(len(cell.frames) for cell in self.cells)

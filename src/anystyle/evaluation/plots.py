@@ -1,4 +1,4 @@
-"""Plots of evaluations: figures of every style, and the best and worst examples."""
+"""Plots of evaluations: scores of every style, and the best and worst examples."""
 
 import math
 from collections.abc import Sequence
@@ -26,11 +26,11 @@ def plotting() -> Any:
 
 
 def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
-    """Draw a panel for each figure: a dot for each scene in each style, a line at each scene's score in the table.
+    """Draw a panel for each score: a dot for each scene in each style, a line at each scene's score in the table.
 
     The score of a scene is not the mean of its styles' where a metric judges all images together, as FID does.
     """
-    names = [name for name in evaluation.figures if len(_values(evaluation.rows, name)) > 1]
+    names = [name for name in evaluation.scores if len(_values(evaluation.rows, name)) > 1]
     if not names:
         return
     scenes = list(dict.fromkeys(row.scene for row in evaluation.rows))
@@ -42,7 +42,7 @@ def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
         for level, scene in enumerate(scenes):
             values = _values([row for row in evaluation.rows if row.scene == scene], name)
             axis.plot(values, [level] * len(values), "o", color=color, alpha=0.45, markersize=5, markeredgewidth=0)
-            score = (evaluation.scenes.get(scene, {}) if scene else evaluation.figures).get(name, math.nan)
+            score = (evaluation.scenes.get(scene, {}) if scene else evaluation.scores).get(name, math.nan)
             if math.isfinite(score):
                 axis.plot([score] * 2, [level - 0.22, level + 0.22], color=INK, linewidth=1.4)
                 explanation = "dot: one style; line: the score of all styles, as in the table"
@@ -55,22 +55,22 @@ def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
 
 
 def examples(evaluation: Evaluation, path: Path) -> None:
-    """Lay out the best and the worst rows of the first figure that has a better direction."""
+    """Lay out the best and the worst rows of the first score that has a better direction."""
     rows = [row for row in evaluation.rows if row.pictures]
-    figure = next((name for name in evaluation.better if len(_values(rows, name)) == len(rows) > 1), None)
-    if figure is None:
+    first = next((name for name in evaluation.better if len(_values(rows, name)) == len(rows) > 1), None)
+    if first is None:
         return
-    better = evaluation.better[figure]
-    rows.sort(key=lambda row: row.figures[figure], reverse=better == "higher")
+    better = evaluation.better[first]
+    rows.sort(key=lambda row: row.scores[first], reverse=better == "higher")
     half = min(4, len(rows) // 2)
     chosen = [("best", row) for row in rows[:half]] + [("worst", row) for row in rows[-half:]]
     kinds = ("photograph", "style", "result")
-    titles = [f"{rank}: {number(row.figures[figure])} {row.scene} {row.style}".strip() for rank, row in chosen]
+    titles = [f"{rank}: {number(row.scores[first])} {row.scene} {row.style}".strip() for rank, row in chosen]
     cells: list[list[Cell]] = [
         [open_image(row.pictures[kind], longest=640) if kind in row.pictures else None for _, row in chosen]
         for kind in kinds
     ]
-    note = f"by {figure}, {better} is better" + (f" ({STAND_IN})" if figure in evaluation.stand_ins else "")
+    note = f"by {first}, {better} is better" + (f" ({STAND_IN})" if first in evaluation.stand_ins else "")
     sheet = contact_sheet(cells, column_titles=titles, row_titles=kinds, footer=note, cell=(160, 160))
     with atomic_path(path) as temporary:
         sheet.save(temporary)
@@ -102,7 +102,7 @@ def write_caption(figure: Any, *texts: str) -> None:
 
 
 def label(axis: Any, title: str, stands_in: bool) -> None:
-    """Write a panel's title, and below it whether its figures are of a stand-in."""
+    """Write a panel's title, and below it whether its scores are of a stand-in."""
     axis.set_title(title, fontsize=8.5, color=INK, loc="left")
     if stands_in:
         axis.set_xlabel(STAND_IN, fontsize=7, color=COLORS["stand-in"])
@@ -116,5 +116,5 @@ def save(figure: Any, path: Path) -> None:
 
 
 def _values(rows: Sequence[Row], name: str) -> list[float]:
-    values = [row.figures.get(name, math.nan) for row in rows]
+    values = [row.scores.get(name, math.nan) for row in rows]
     return [value for value in values if math.isfinite(value)]

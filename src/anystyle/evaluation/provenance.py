@@ -1,4 +1,4 @@
-"""What the figures of an evaluation rest on besides weights: plugins, and the files that its configuration names."""
+"""What the scores of an evaluation rest on besides weights: plugins, and the files that its configuration names."""
 
 import hashlib
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ MOST_BYTES = 4 * 2**30
 
 
 def foundations(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What the figures of a resolved configuration rest on besides weights, for their record.
+    """What the scores of a resolved configuration rest on besides weights, for their record.
 
     ``plugins`` are versions by distribution, ``inputs`` hashes by the option that names the file or folder, and
     ``folder`` is where relative paths begin.

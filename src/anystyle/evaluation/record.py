@@ -11,7 +11,7 @@ import msgspec
 from anystyle.contracts.protocol import SCENE, Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json
-from anystyle.io.documents import Figure, as_number, fit, read_json
+from anystyle.io.documents import Number, as_number, fit, read_json
 from anystyle.ranges import Count
 
 FILE = "metrics.json"
@@ -36,7 +36,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
     """Write ``metrics.json``, ``metrics.csv``, ``table.md`` and ``table.tex``; the evaluation with its provenance."""
     evaluation = replace(
         evaluation.with_facts(**provenance),
-        figures={**evaluation.figures, **evaluation.times},
+        scores={**evaluation.scores, **evaluation.times},
         better={**evaluation.better, **dict.fromkeys(evaluation.times, "lower")},
     )
     facts = {
@@ -51,7 +51,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
     for name, text in texts.items():
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
-    stored = {**evaluation.figures, **evaluation.groups, "provenance": {**evaluation.provenance, **facts}}
+    stored = {**evaluation.scores, **evaluation.groups, "provenance": {**evaluation.provenance, **facts}}
     write_json(out / FILE, stored)
     return evaluation
 
@@ -61,46 +61,46 @@ def read(folder: Path) -> Evaluation | None:
     path = folder / FILE
     if not path.is_file():
         return None
-    stored: dict[str, Any] = read_json(path, dict[str, Any], what="file of figures; evaluate again")
+    stored: dict[str, Any] = read_json(path, dict[str, Any], what="file of scores; evaluate again")
     if "provenance" not in stored:
         return None  # the last values that a training logged have this file name too
-    what = "file of figures of an evaluation; evaluate again"
+    what = "file of scores of an evaluation; evaluate again"
     provenance = stored.pop("provenance")
     facts: _Facts = fit(provenance, _Facts, source=str(path), what=what)
-    shape = dict[str, Figure | dict[str, Figure]]
-    known: dict[str, Figure | dict[str, Figure]] = fit(stored, shape, source=str(path), what=what)
-    figures = {name: as_number(value) for name, value in known.items() if not isinstance(value, dict)}
+    shape = dict[str, Number | dict[str, Number]]
+    known: dict[str, Number | dict[str, Number]] = fit(stored, shape, source=str(path), what=what)
+    scores = {name: as_number(value) for name, value in known.items() if not isinstance(value, dict)}
     groups = {
         name: {key: as_number(item) for key, item in value.items()}
         for name, value in known.items()
         if isinstance(value, dict)
     }
-    return Evaluation(figures, facts.n, facts.better, groups, stand_ins=facts.stand_ins, provenance=provenance)
+    return Evaluation(scores, facts.n, facts.better, groups, stand_ins=facts.stand_ins, provenance=provenance)
 
 
 def summary(evaluation: Evaluation) -> Table:
-    """The table of one evaluation: a row for each figure, a column for all scenes and for each group."""
+    """The table of one evaluation: a row for each score, a column for all scenes and for each group."""
     provenance, groups = evaluation.provenance, evaluation.groups
     title = provenance.get("title", "")
-    columns = {_lacking(title or ("all" if groups else "value"), evaluation.missing(title)): evaluation.figures}
+    columns = {_lacking(title or ("all" if groups else "value"), evaluation.missing(title)): evaluation.scores}
     columns |= {_lacking(name.removeprefix(SCENE), evaluation.missing(name)): group for name, group in groups.items()}
     machine = provenance.get("machine", "an unknown machine")
     notes = [f"n = {evaluation.size}, {provenance.get('seconds', 0):.0f} s on {machine}."]
     if any(name.startswith(SCENE) for name in groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
     if evaluation.stand_ins:
-        why = "come from networks that replace the published ones, and cannot be compared with published figures"
-        notes.append(f"{STAND_IN.capitalize()}: these figures {why}.")
+        why = "come from networks that replace the published ones, and cannot be compared with published scores"
+        notes.append(f"{STAND_IN.capitalize()}: these scores {why}.")
     notes += [f"Warning: {text}" for text in provenance.get("warnings", [])]
     caption = ", ".join(filter(None, (provenance.get("protocol", "evaluation"), provenance.get("variant"))))
-    names = list(dict.fromkeys(name for figures in columns.values() for name in figures))
+    names = list(dict.fromkeys(name for scores in columns.values() for name in scores))
     noted = bool(evaluation.stand_ins.keys() & set(names))
     rows: list[tuple[str, ...]] = []
     for name in names:
         note = [f"{STAND_IN} ({network})" if (network := evaluation.stand_ins.get(name)) else ""] if noted else []
-        cells = (number(figures.get(name)) for figures in columns.values())
+        cells = (number(scores.get(name)) for scores in columns.values())
         rows.append((titled(name, evaluation.better), *cells, *note))
-    return Table(("figure", *columns, *(["note"] if noted else [])), tuple(rows), caption, tuple(notes))
+    return Table(("score", *columns, *(["note"] if noted else [])), tuple(rows), caption, tuple(notes))
 
 
 def _lacking(title: str, missing: int) -> str:
@@ -110,15 +110,15 @@ def _lacking(title: str, missing: int) -> str:
 def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
     """A row for each scene in each style, with the number of its images and of those missing where they were counted.
 
-    The last column names the figures of stand-in networks, if there are any.
+    The last column names the scores of stand-in networks, if there are any.
     """
-    names = list(dict.fromkeys(name for row in rows for name in row.figures))
+    names = list(dict.fromkeys(name for row in rows for name in row.scores))
     from_stand_ins = [name for name in names if name in stand_ins]
     note = [f"{STAND_IN}: {' '.join(from_stand_ins)}"] if from_stand_ins else []
     heads = ["n", "missing"] if any(row.n is not None for row in rows) else []
     cells: list[tuple[str, ...]] = []
     for row in rows:
-        values = (row.figures.get(name, math.nan) for name in names)
-        figures = ("" if math.isnan(value) else repr(value) for value in values)
-        cells.append((row.scene, row.style, *(str(getattr(row, head)) for head in heads), *figures, *note))
+        values = (row.scores.get(name, math.nan) for name in names)
+        scores = ("" if math.isnan(value) else repr(value) for value in values)
+        cells.append((row.scene, row.style, *(str(getattr(row, head)) for head in heads), *scores, *note))
     return Table(("scene", "style", *heads, *names, *(["note"] if note else [])), tuple(cells))

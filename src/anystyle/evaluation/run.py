@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.contracts.protocol import Evaluation, Protocol
@@ -18,10 +18,10 @@ from anystyle.errors import MissingExtra, UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.provenance import foundations
 from anystyle.io.atomic import LOCK, folder_lock, write_json
-from anystyle.io.documents import read_json
 from anystyle.io.record import commit, machine, versions
 from anystyle.io.run_folder import RECORD, refuse_changes
-from anystyle.paths import expanded, natural
+from anystyle.paths import expanded
+from anystyle.pipeline.trained import configured, trained_run
 from anystyle.ranges import checked_seed
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
@@ -30,7 +30,6 @@ from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import node, plain, runtime_arguments
 from anystyle.types import OnProgress, no_progress
 
-BRANCH = "branch.safetensors"
 RUN_OR_IMAGES = "--run judges a model, and --stylized judges images; give one of them"
 STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
 """Parts of a configuration on which the images of a model depend."""
@@ -98,7 +97,7 @@ def evaluate(
 
     Example::
 
-        anystyle.evaluate(["protocol=table2", "root=evaluation_and_splits"], out="table2").figures["art_fid"]
+        anystyle.evaluate(["protocol=table2", "root=evaluation_and_splits"], out="table2").scores["art_fid"]
         anystyle.evaluate(["metric=[psnr]"], content="photos", style="styles", stylized="results", out="theirs")
 
     Args:
@@ -123,9 +122,7 @@ def evaluate(
         return run(config, Path(out or "evaluation"), on_progress=on_progress)
     if images is not None:
         raise UserError(RUN_OR_IMAGES)
-    folder, *more = trained_runs(Path(trained))
-    if more:
-        raise UserError(f"{trained} holds {1 + len(more)} trainings; name one of them, such as {folder}")
+    folder = trained_run(Path(trained))
     return run(configured(config, folder), Path(out or folder / "evaluation"), on_progress=on_progress)
 
 
@@ -149,6 +146,7 @@ def run(
     protocol = build(Protocol, config.protocol, **parts, **sources, inputs=inputs)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named):
+        _refuse_loss(out, config)
         evaluation = protocol.run(out, on_progress)
         provenance = {
             "protocol": plugin.name,
@@ -171,6 +169,23 @@ def run(
     except MissingExtra as error:
         log.warning("no plot: %s", error)
     return written
+
+
+def _refuse_loss(out: Path, config: DictConfig) -> None:
+    """Refuse to replace scores of another variant, or of metrics that are not chosen now."""
+    if (earlier := record.read(out)) is None:
+        return
+    before, remedy = earlier.provenance, "choose another --out, or delete that folder"
+    if before.get("variant") != str(config.variant):
+        raise UserError(f"{out} holds scores of variant={before.get('variant')}, not {config.variant}; {remedy}")
+    if lost := _chosen(before.get("config", {})) - _chosen(config):
+        every = ",".join(sorted(lost | _chosen(config)))
+        raise UserError(f"{out} holds scores that would be lost; add their metrics, metric=[{every}]; or {remedy}")
+
+
+def _chosen(config: Mapping[str, Any]) -> set[str]:
+    """The metrics of a configuration: a variant sets options of others, too."""
+    return {str(name) for name, one in (config.get("metric") or {}).items() if one is not None and "_target_" in one}
 
 
 @contextmanager
@@ -231,8 +246,7 @@ def make_sources(config: DictConfig, named: Mapping[str, bool]) -> dict[str, Any
 
 def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch.device) -> dict[str, Metric]:
     """The metrics that are chosen, with what their constructors name; completes the configuration by it."""
-    # A variant sets options of metrics that may not be among those chosen.
-    chosen = {str(name): one for name, one in config.metric.items() if one is not None and "_target_" in one}
+    chosen = {name: config.metric[name] for name in config.metric if name in _chosen(config)}
     needed = {
         argument: name
         for name, one in chosen.items()
@@ -260,30 +274,3 @@ def _style_encoder(config: DictConfig, metric: str) -> StyleEncoder:
     if config.weights.style_encoder is not None:
         load_part(weights_file(config.weights.style_encoder), encoder, "style_encoder")
     return encoder.requires_grad_(False).eval()
-
-
-def trained_runs(folder: Path) -> list[Path]:
-    """The folders that hold a style branch: a run itself, or the jobs of a multirun in order."""
-    if not folder.is_dir():
-        raise UserError(f"there is no run {folder}")
-    jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=lambda path: natural(path.name))
-    if not (folders := [folder] if (folder / BRANCH).is_file() else jobs):
-        raise UserError(f"{folder} holds no finished training of a style branch ({BRANCH}, in it or in its jobs)")
-    return folders
-
-
-def configured(config: DictConfig, folder: Path) -> DictConfig:
-    """A configuration with the parts, options and weights of a run."""
-    from anystyle.io.checkpoint import read_header
-    from anystyle.registry.untrusted import check_saved
-
-    what = "record of a run, which names the weights it was trained on"
-    bound: dict[str, Any] = read_json(folder / RECORD, dict[str, Any], what=what)
-    saved = check_saved(read_header(folder / BRANCH).config, folder / BRANCH)
-    merged = config.copy()
-    with open_dict(merged):
-        for part, node in saved.items():
-            merged[part] = OmegaConf.create(node) if isinstance(node, dict) else node
-        weights = {key.removeprefix("weights."): value for key, value in bound.items() if key.startswith("weights.")}
-        merged.weights = {**weights, "branch": str(folder / BRANCH)}
-    return merged

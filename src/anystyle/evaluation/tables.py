@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 STAND_IN = "stand-in, not comparable"
-"""The note on every figure that a stand-in network computed."""
+"""The note on every score that a stand-in network computed."""
 
 _ARROWS = {"higher": "↑", "lower": "↓"}
 _NUMERIC = re.compile(r"[\d\[<+\-−–—∞.]")
@@ -130,5 +130,5 @@ def number(value: float | None) -> str:
 
 
 def titled(name: str, better: Mapping[str, str]) -> str:
-    """A figure's name with an arrow in its better direction (``higher`` or ``lower``)."""
+    """A score's name with an arrow in its better direction (``higher`` or ``lower``)."""
     return f"{name} {_ARROWS[better[name]]}" if name in better else name

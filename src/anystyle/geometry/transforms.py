@@ -3,6 +3,7 @@
 Quaternions are ``wxyz`` (3DGS, PLY files, gsplat) unless a name says ``xyzw`` (scipy, VGGT's pose encoding).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -137,11 +138,11 @@ class Similarity(NamedTuple):
         """Gaussians of the old frame in the new one: centres, orientations, sizes and the colours' directions."""
         rotation = wxyz_from_matrix(self.rotation).expand_as(gaussians.rotations)
         color = gaussians.harmonics
-        return Gaussians(
+        return replace(
+            gaussians,
             means=self.points(gaussians.means),
             rotations=multiply(rotation, gaussians.rotations),
             scales=self.scale * gaussians.scales,
-            opacities=gaussians.opacities,
             harmonics=harmonics.rotate(color, self.rotation) if color.shape[2] > 1 else color,
         )
 

@@ -49,7 +49,7 @@ def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
 
 
 def write_json(path: str | Path, value: object) -> None:
-    """Write a value as readable JSON; numbers that are not finite as :func:`anystyle.io.documents.as_figure` does."""
+    """Write a value as readable JSON; infinite and missing ones as :func:`~anystyle.io.documents.stored_number`."""
     text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_path(path, sync=True) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")

@@ -19,11 +19,11 @@ from anystyle.errors import UserError, one_line
 
 T = TypeVar("T")
 
-Figure = float | Literal["inf", "-inf"] | None
+Number = float | Literal["inf", "-inf"] | None
 """A number as JSON can hold it: ``None`` is not a number, and infinities are words."""
 
 
-def as_figure(value: float) -> Figure:
+def stored_number(value: float) -> Number:
     """A number as JSON can hold it."""
     return value if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0 else "-inf"
 
@@ -34,12 +34,12 @@ def plain(value: Any) -> Any:
         return {key: plain(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(part) for part in value]
-    return as_figure(value) if isinstance(value, float) else value
+    return stored_number(value) if isinstance(value, float) else value
 
 
-def as_number(figure: Figure) -> float:
-    """The inverse of :func:`as_figure`."""
-    return math.nan if figure is None else float(figure)
+def as_number(score: Number) -> float:
+    """The inverse of :func:`stored_number`."""
+    return math.nan if score is None else float(score)
 
 
 # Limits of bytes, nested levels and values; the parser of YAML is slow, and what its aliases repeat counts each time.

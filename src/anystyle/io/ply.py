@@ -20,8 +20,6 @@ from anystyle.io.documents import regular
 from anystyle.io.limits import require
 from anystyle.io.splats import Offset, Remarks, Splats, near, visible
 
-MAX_DEGREE = 3
-"""The highest degree of harmonics that viewers read; higher coefficients are not written."""
 CHUNK = 256
 """Gaussians that share a row of bounds in a compressed file."""
 _CONSTANT = 0.5 / sqrt(np.pi)
@@ -29,6 +27,8 @@ _CONSTANT = 0.5 / sqrt(np.pi)
 _RGB = ("red", "green", "blue")
 _HEADER = 1 << 16
 """Bytes that are searched for the end of a header."""
+ANTIALIASED = "SplatRenderMode: mip"
+"""The comment on Gaussians of a training with antialiasing, as gsplat, Brush and splat-transform write it."""
 _ASCII = bytes(value if value < 128 else ord("?") for value in range(256))
 
 
@@ -57,11 +57,11 @@ def write(splats: Splats, path: Path, notes: Sequence[str] = ()) -> None:
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
-    degree = min(_degree(harmonics.shape[1]), MAX_DEGREE)
+    degree = _degree(harmonics.shape[1])
     # Opacities of 0 and 1 and scales of 0 occur; the margins keep their logits and logarithms finite.
     logits = torch.logit(opacities.clamp(1e-6, 1 - 1e-6))[:, None]
     sizes, quaternions = scales.clamp_min(1e-12).log(), torch.nn.functional.normalize(rotations, dim=-1)
-    colors = _flat(harmonics[:, : (degree + 1) ** 2])
+    colors = _flat(harmonics)
     columns = torch.cat([means, torch.zeros_like(means), colors, logits, sizes, quaternions], dim=1)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(degree)])[:, 0]
     with atomic_path(path) as temporary:
@@ -130,6 +130,11 @@ def comments(path: Path) -> list[str]:
     """The comments of a header, in UTF-8 or else Latin-1."""
     lines = re.findall(rb"^comment +(.*\S)", _header(path).replace(b"\r", b"\n"), re.MULTILINE)
     return [_text(line) for line in lines]
+
+
+def is_antialiased(comment: str) -> bool:
+    """Whether a comment says that the training was with antialiasing."""
+    return comment.lower() == ANTIALIASED.lower()
 
 
 def _header(path: Path) -> bytes:

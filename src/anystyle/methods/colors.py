@@ -325,13 +325,14 @@ def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _Syst
 
 def _identity(system: _System) -> tuple[object, ...]:
     gaussians, cameras = system.gaussians, system.cameras
-    return (*_places(*vars(gaussians).values()), _bytes(cameras), cameras.size, id(system.renderer))
+    places = _places(*vars(gaussians).values())
+    return (type(gaussians), *places, _bytes(cameras), cameras.size, id(system.renderer))
 
 
 def _views_key(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> tuple[object, ...]:
     """What linear views depend on besides their cameras: colours are not of it."""
     shapes = gaussians.means, gaussians.rotations, gaussians.scales, gaussians.opacities
-    return (*_places(*shapes), cameras.size, id(renderer))
+    return (type(gaussians), *_places(*shapes), cameras.size, id(renderer))
 
 
 def _places(*tensors: Tensor) -> tuple[object, ...]:

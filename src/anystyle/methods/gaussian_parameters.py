@@ -1,6 +1,7 @@
 """Gaussians in the parametrisation that is optimised."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -48,7 +49,8 @@ class GaussianParameters:
         """The current Gaussians, differentiable in the parameters."""
         p, g = self.parameters, self.fixed
         constant, higher = p.get("colors", g.harmonics[0, :, :1]), p.get("harmonics", g.harmonics[0, :, 1:])
-        return Gaussians(
+        return replace(
+            g,
             means=(g.means[0] + self.units[:, None] * p["offsets"])[None] if "offsets" in p else g.means,
             rotations=p["rotations"][None] if "rotations" in p else g.rotations,
             scales=p["scales"].exp()[None] if "scales" in p else g.scales,
@@ -88,7 +90,7 @@ class GaussianParameters:
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore the result of :meth:`state_dict`; the number of Gaussians may differ."""
-        self.fixed, self.units = Gaussians(**state["fixed"]), state["units"]
+        self.fixed, self.units = replace(self.fixed, **state["fixed"]), state["units"]
         for group in self.optimizer.param_groups:
             value = state["parameters"][group["name"]].clone().requires_grad_()
             group["params"][0] = self.parameters[group["name"]] = value

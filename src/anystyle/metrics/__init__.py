@@ -3,7 +3,7 @@
 ``from anystyle.metrics import LPIPS, ArtFID, CSD`` imports a metric when it is first asked for, a plugin's too.
 ``LPIPS().update(preds, target)`` takes in sRGB images in [0, 1], ``[N, 3, H, W]`` or in scenes ``[B, V, 3, H, W]``
 (:meth:`Comparison.from_images <anystyle.types.Comparison.from_images>`), or a comparison; ``compute()`` gives the
-figures over all, and a call takes in and gives the figures of what it took in alone. ``stand_ins`` names the figures
+scores over all, and a call takes in and gives the scores of what it took in alone. ``stand_ins`` names the scores
 that rest on a stand-in.
 """
 

@@ -54,9 +54,9 @@ class ArtFID(NetworkMetric):
         self.inception = embeddings.load_art_inception(weights)
         self.network = lpips.load("alex", weights)
         self.name_after(self.network.name)
-        self.declare(self.inception.source, self.network.source, figures=["art_fid"])
-        self.declare(self.inception.source, figures=["fid", "fid_infinity"])
-        self.declare(self.network.source, figures=[self.network.name])
+        self.declare(self.inception.source, self.network.source, scores=["art_fid"])
+        self.declare(self.inception.source, scores=["fid", "fid_infinity"])
+        self.declare(self.network.source, scores=[self.network.name])
         self.add_state("stylized", [], dist_reduce_fx="cat")
         self.add_state("style", [], dist_reduce_fx="cat")
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
@@ -75,12 +75,12 @@ class ArtFID(NetworkMetric):
 
     def compute(self) -> dict[str, Tensor]:
         if int(self.rows) == 0:
-            warnings.warn("art_fid: nothing to average; the figures are nan", stacklevel=2)
+            warnings.warn("art_fid: nothing to average; the scores are nan", stacklevel=2)
         distance = (self.total / self.rows).float()  # nan where there is no row
         stylized, style = stacked(self.stylized), stacked(self.style)
         if len(stylized) < 2:
             if len(stylized) == 1:
-                warnings.warn("art_fid: one image alone has no covariance; the figure is nan", stacklevel=2)
+                warnings.warn("art_fid: one image alone has no covariance; the score is nan", stacklevel=2)
             nan = torch.full_like(distance, float("nan"))
             return {"art_fid": nan, "fid": nan, "fid_infinity": nan, self.network.name: distance}
         num_images, dim = stylized.shape
@@ -98,8 +98,8 @@ class ArtFID(NetworkMetric):
         smallest = 5000 if self.rounded else max(2, num_images // 2)
         fid_infinity = fid if num_images <= smallest else frechet_infinity(stylized, style, smallest=smallest)
         art_fid = (1 + distance) * (1 + fid_infinity)
-        figures = {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float()}
-        return figures | {self.network.name: distance}
+        scores = {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float()}
+        return scores | {self.network.name: distance}
 
     def _vectors(self, images: Tensor) -> Tensor:
         return self.inception.vectors(images, size=self.size, rounded=self.rounded)
@@ -132,7 +132,7 @@ def frechet_infinity(
     """The Fréchet distance extrapolated to infinitely many samples (Chong and Forsyth, CVPR 2020).
 
     Distances of growing samples of ``first``, drawn with a fixed seed, lie close to a line over one divided by their
-    size; the line's value at 0 is the figure. With no more rows than the ``smallest`` sample, it is the plain distance.
+    size; the line's value at 0 is the score. With no more rows than the ``smallest`` sample, it is the plain distance.
     """
     count = first.shape[0]
     if count <= smallest:

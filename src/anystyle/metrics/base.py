@@ -94,12 +94,12 @@ class RowMean(Metric, ABC):
     def compute(self) -> Tensor:
         (name,) = self.better
         if int(self.rows) == 0:
-            warnings.warn(f"{name}: {self.lacking}; the figure is nan", stacklevel=2)
+            warnings.warn(f"{name}: {self.lacking}; the score is nan", stacklevel=2)
         return (self.total / self.rows).float()  # nan where there is no row
 
 
 class NetworkMetric(Metric, ABC):
-    """A metric whose figures rest on published weights or on stand-ins."""
+    """A metric whose scores rest on published weights or on stand-ins."""
 
     full_state_update = False
 
@@ -108,12 +108,12 @@ class NetworkMetric(Metric, ABC):
         return {"weights": "stand_in"}
 
     def name_after(self, distance: str) -> None:
-        """Give figures called by LPIPS the name of the distance that replaces it, before any is declared."""
+        """Give scores called by LPIPS the name of the distance that replaces it, before any is declared."""
         vars(self)["better"] = {name.replace("lpips", distance): way for name, way in type(self).better.items()}
 
-    def declare(self, *sources: Source, figures: Iterable[str] = ()) -> None:
-        """Record the weights that figures rest on; all figures if none is named."""
-        self.stand_ins = {**self.stand_ins, **stand_ins(figures or self.better, *sources)}
+    def declare(self, *sources: Source, scores: Iterable[str] = ()) -> None:
+        """Record the weights that scores rest on; all scores if none is named."""
+        self.stand_ins = {**self.stand_ins, **stand_ins(scores or self.better, *sources)}
         self.weights = {**self.weights, **checksums(*sources)}
 
 

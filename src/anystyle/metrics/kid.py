@@ -60,7 +60,7 @@ class KID(NetworkMetric):
         if min(stylized.shape[0], style.shape[0]) < 2:
             warnings.warn(
                 f"kid: {stylized.shape[0]} stylized and {style.shape[0]} distinct style images; two of each are "
-                "needed, the figure is nan",
+                "needed, the score is nan",
                 stacklevel=2,
             )
             return torch.full((), float("nan"), device=stylized.device)

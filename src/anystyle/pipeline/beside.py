@@ -1,6 +1,7 @@
 """Cameras in or beside the file of a scene: of this program, of trainers' runs, and those of its photographs."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated
@@ -59,14 +60,18 @@ def with_stored_cameras(
     Arguments are those of :func:`cameras_beside`.
     """
     stored = {} if scene.names else cameras_beside(path, stored_in, scene.offset, own_up)
-    if not stored:
-        return scene
+    names = short_names([PurePosixPath(name) for name in stored])
+    return with_cameras(scene, dict(zip(names, stored.values(), strict=True))) if stored else scene
+
+
+def with_cameras(scene: StyledScene, stored: Mapping[str, StoredCamera]) -> StyledScene:
+    """A scene with cameras by the names of their views, those of one size as the first."""
     size = next(iter(stored.values())).size
     alike = {name: camera for name, camera in stored.items() if camera.size == size}
     poses = np.stack([camera.world_from_camera for camera in alike.values()])
     intrinsics = np.stack([camera.intrinsics for camera in alike.values()])
     cameras = Cameras(torch.from_numpy(poses).float()[None], torch.from_numpy(intrinsics).float()[None], size)
-    return replace(scene, cameras=cameras, names=tuple(short_names([PurePosixPath(name) for name in alike])))
+    return replace(scene, cameras=cameras, names=tuple(alike))
 
 
 def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: str) -> dict[str, StoredCamera]:
@@ -92,10 +97,7 @@ def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: st
 
 def _of_folder(folder: Path) -> dict[str, StoredCamera]:
     file = folder / "cameras.json"
-    if not file.is_file() or not _is_own(file):
-        return stored_cameras(folder)
-    cameras, names = own_cameras(file)
-    return saved_cameras(StyledScene((), cameras, names))
+    return own_cameras(file) if file.is_file() and _is_own(file) else stored_cameras(folder)
 
 
 def _is_own(file: Path) -> bool:
@@ -144,11 +146,10 @@ def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
     return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
 
 
-def own_cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of ``cameras.json``, those of one size as the first."""
+def own_cameras(path: Path) -> dict[str, StoredCamera]:
+    """The cameras of ``cameras.json``."""
     views = read_json(path, SavedCameras, what="file of cameras").views
-    first = views[0]
-    alike = [view for view in views if (view.height, view.width) == (first.height, first.width)]
-    poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
-    intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
-    return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
+    return {
+        name: StoredCamera(np.array(view.world_from_camera), np.array(view.intrinsics), (view.height, view.width))
+        for name, view in zip(distinct([view.name for view in views]), views, strict=True)
+    }

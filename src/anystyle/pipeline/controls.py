@@ -105,7 +105,7 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
             middle = torch.lerp(start, end, part)
         return torch.where(part == 0, start, torch.where(part == 1, end, middle))
 
-    return Gaussians(**{item.name: between(item.name) for item in fields(Gaussians)})
+    return replace(styled, **{item.name: between(item.name) for item in fields(Gaussians)})
 
 
 def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) -> Gaussians:

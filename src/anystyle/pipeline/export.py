@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import replace
+from math import isqrt
 from pathlib import Path
 
 import torch
@@ -10,10 +11,9 @@ from torch import Tensor
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
-from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
-from anystyle.types import Gaussians, StyledScene
+from anystyle.types import StyledScene
 
 _log = logging.getLogger(__name__)
 _FROM_OPENCV = {
@@ -21,14 +21,6 @@ _FROM_OPENCV = {
     "y": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
     "z": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
 }
-
-
-def export(
-    gaussians: Gaussians, path: Path, name: str, *, up: str | None = None, notes: str = "", offset: Offset = NEAR
-) -> None:
-    """Write one scene in one style, without cameras."""
-    scene = StyledScene(((path.stem, gaussians),), notes=tuple(notes.splitlines()), offset=offset)
-    export_styles(scene, path, name, up=up)
 
 
 def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None = None) -> int:
@@ -48,18 +40,25 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
     visible = {title: each.opacities[0] > 0 for title, each in kept.items()}
     if len({len(rows) for rows in visible.values()}) == 1:  # they stay as many, and what is equal stays equal
         visible = dict.fromkeys(kept, torch.stack(list(visible.values())).any(0))
+    shown, total = int(next(reversed(visible.values())).sum()), last.means.shape[1]
     if not all(bool(rows.any()) for rows in visible.values()):
         raise UserError("the scene has no Gaussians that are visible; there is nothing to export")
     styles = tuple(
         (title, each.map(lambda tensor, rows=visible[title]: tensor[:, rows])) for title, each in kept.items()
     )
-    turned = in_axes(up or writer.up, replace(scene, styles=styles))
+    turned, degree = in_axes(up or writer.up, replace(scene, styles=styles)), isqrt(last.harmonics.shape[2]) - 1
+    if shown < total:
+        _log.warning("%s: %s of %s Gaussians are left out (with opacity 0)", path, f"{total - shown:,}", f"{total:,}")
+    if writer.max_degree is not None and degree > writer.max_degree:
+        _log.warning("%s: harmonics above degree %d are left out: it has no room for them", path, writer.max_degree)
     if any(scene.offset) and not writer.has_offset:
         _log.warning(
             "%s: the format has no room for the offset %s, which its positions lack",
             path,
             " ".join(f"{each:.17g}" for each in turned.offset),
         )
+    if scene.antialiased and not writer.has_antialiasing:
+        _log.warning("%s: the format cannot say that the scene was trained with antialiasing", path)
     writer.write(turned, path)
     if not writer.has_notes:
         beside = path.with_suffix(path.suffix + ".txt")

@@ -80,7 +80,7 @@ class Film:
             UserError: The scene has no cameras, or another thread has set ``stop``.
         """
         if not scene.names:
-            raise UserError(f"{path}: a film needs the cameras of the scene, and there are none in it or beside it")
+            raise UserError("a film needs the cameras of the scene, and there are none in it or beside it")
         gaussians = scene.styles[-1][1]
         seen = scene.cameras.to(gaussians.means.device)
         confidence = ViewConfidence.of(gaussians, seen) if self.options.fade and scene.photographed else None

@@ -24,7 +24,7 @@ from anystyle.contracts import (
     StyleEncoder,
     StylePredictor,
 )
-from anystyle.errors import UserError, did_you_mean
+from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.io.limits import require
 from anystyle.paths import expanded
@@ -256,8 +256,15 @@ def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:
 
 
 def default_device() -> torch.device:
-    """A CUDA device if there is one, else the CPU."""
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    """A CUDA device if there is one that computes, else the CPU; a warning says why one does not."""
+    if not torch.cuda.is_available():
+        return torch.device("cpu")
+    try:
+        torch.ones(2, device="cuda").sum().item()
+    except (RuntimeError, AssertionError) as error:  # too old for this PyTorch, or full with what others compute
+        _log.warning("the graphics card is not used, and the CPU computes (%s)", one_line(error))
+        return torch.device("cpu")
+    return torch.device("cuda")
 
 
 def build_and_load(

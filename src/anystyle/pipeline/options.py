@@ -138,12 +138,14 @@ class SplatOptions:
         up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up; ``None`` is what the file says, or else its
             format. Results are in OpenCV's.
         activated: Whether a file holds lengths and opacities in [0, 1] where its format has logarithms and logits.
+        antialiased: Whether it was trained with antialiasing, by which opacities are lowered; ``None`` is what it says.
     """
 
     cameras: Annotated[int, Range(ge=1, le=1 << 16)] = 24
     folder: str | None = None
     up: str | None = None
     activated: bool = False
+    antialiased: bool | None = None
 
     def __post_init__(self) -> None:
         _expect("splat.up", str(self.up), ("None", *AXES))

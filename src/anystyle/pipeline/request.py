@@ -9,7 +9,7 @@ from omegaconf import DictConfig
 
 from anystyle.contracts import StyleSource
 from anystyle.errors import UserError
-from anystyle.paths import natural
+from anystyle.paths import expanded, natural
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.film import Film
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
@@ -131,8 +131,13 @@ class Request:
 
     @cached_property
     def config(self) -> DictConfig:
-        """The composed configuration."""
-        return compose("stylize", self.overrides) if self.composed is None else self.composed
+        """The composed configuration, with what a training has learnt where ``run`` names one."""
+        config = compose("stylize", self.overrides) if self.composed is None else self.composed
+        if config.run is None:
+            return config
+        from anystyle.pipeline.trained import configured, trained_run
+
+        return configured(config, trained_run(expanded(config.run)))
 
     @property
     def views(self) -> ViewOptions:

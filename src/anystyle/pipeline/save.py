@@ -230,7 +230,8 @@ def _pictures_of(images: Iterable[Float[Tensor, "3 H W"]], sources: Sequence[Sou
 def save_gaussians(gaussians: Gaussians, path: Path) -> None:
     """Write every tensor of some Gaussians, without the loss of the PLY's conventions, as safetensors."""
     tensors = {item.name: getattr(gaussians, item.name).detach().cpu().contiguous() for item in fields(gaussians)}
-    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"})
+    mode = {"antialiased": "true"} if gaussians.antialiased else {}
+    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"} | mode)
 
 
 def write_cameras(

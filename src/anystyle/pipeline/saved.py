@@ -1,6 +1,7 @@
 """A saved scene, which is a folder of results or a file of Gaussians: reading it, and cameras and views of it."""
 
 import logging
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
@@ -22,9 +23,9 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
-from anystyle.methods.colors import first_render
+from anystyle.methods.colors import first_render, pixels_shown
 from anystyle.paths import short_names
-from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras
+from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
@@ -46,12 +47,12 @@ FOCAL = 1.2
 """Of chosen cameras, in sides of their square images: 45 degrees."""
 DISTANCE = 3.0
 """Of chosen cameras from the middle, in radii."""
+CANDIDATES, SMALL = 48, 96
+"""Cameras around a scene of which some are chosen, and the side of their pictures in pixels."""
+FACING = 0.65
+"""Of the best camera's score: cameras of less look at a back, or at an edge."""
 PAINTED = 384
 """Shorter side in pixels at which a scene of unknown origin is painted, as photographs of a fit are."""
-NOT_COMPENSATED = (
-    "renders here do not apply: Gaussians that are thinner than a pixel are too opaque in them. Files that are written "
-    "say that it was, where their format can: PLY, SPZ and SOG"
-)
 COUNTED = 100_000
 """Gaussians, evenly spaced, that tell which axis is up."""
 FLAT, LEVEL = 0.5, 1.5
@@ -59,6 +60,7 @@ FLAT, LEVEL = 0.5, 1.5
 what is flat across the axis that is up as there is across another."""
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
+_AS_IT_SAYS = SplatOptions()
 _Side = Annotated[int, Meta(gt=0, le=100_000)]
 
 
@@ -81,34 +83,32 @@ def unstyled_of(scene: StyledScene) -> Gaussians:
     return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
 
 
-def read_saved(path: Path, up: str | None = None, *, activated: bool = False) -> StyledScene:
+def read_saved(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScene:
     """Read a folder of results, or a file of Gaussians by the plugin of its suffix, and turn it to OpenCV's axes."""
-    return in_axes("opencv", read_unturned(path, up, activated=activated))
+    return in_axes("opencv", read_unturned(path, options))
 
 
-def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> StyledScene:
-    """Read a folder of results, or a file of Gaussians in its own axes, which are ``up`` or what it says.
-
-    ``activated`` files hold lengths and opacities in [0, 1] where their format has logarithms and logits.
-    """
+def read_unturned(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScene:
+    """Read a folder of results, or a file of Gaussians in its own axes; options are for files of other programs."""
     if not path.exists():
         raise UserError(f"there is no file or folder {path}")
     path = file_of(path)
     if path.suffix.lower() == OWN and path.is_file():
         gaussians, folder = read_gaussians(path), path.parent
         if not (folder / "report.json").is_file():
-            return StyledScene(((path.stem, gaussians),), up=up or "opencv")
-        whole = read_unturned(folder, None)
+            return StyledScene(((path.stem, gaussians),), up=options.up or "opencv")
+        whole = read_unturned(folder)
         title = UNSTYLED if path.stem == UNSTYLED else whole.styles[-1][0]
         return replace(whole, styles=((title, gaussians),))
     if name := scene_format(path):
-        reader = build(Format, name, activated=activated)
+        reader = build(Format, name, activated=options.activated)
         scene, beside = reader.read(path), path.with_suffix(path.suffix + ".txt")
         more = read_text(beside).splitlines() if beside.is_file() else []
         notes = scene.notes if reader.has_notes and scene.notes else tuple(dict.fromkeys([*scene.notes, *more]))
-        if scene.antialiased:
-            _log.warning("%s was trained with antialiasing, which %s", path, NOT_COMPENSATED)
-        return replace(scene, notes=notes, up=up or scene.up, photographed=_photographed(_reports_of(path)))
+        mode = (scene.antialiased or _configured(path)) if options.antialiased is None else options.antialiased
+        styles = tuple((title, gaussians.marked(mode)) for title, gaussians in scene.styles)
+        shared = {"up": options.up or scene.up, "photographed": _photographed(_reports_of(path))}
+        return replace(scene, styles=styles, notes=notes, **shared)
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is not a file of a format that is read")
     whole = _report(path)
@@ -123,13 +123,19 @@ def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> Sty
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     first, report = next(iter(reports.items()))
-    cameras, names = own_cameras(first / "cameras.json")
+    stored = own_cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     notes = (made, *weights.license_lines(report.licenses), *report.notes)
     given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
     pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
     shared = {"offset": whole.offset, "pictures": pictures, "photographed": _photographed([report])}
-    return StyledScene(tuple(styles), cameras, names, notes, **shared)
+    return with_cameras(StyledScene(tuple(styles), notes=notes, **shared), stored)
+
+
+def _configured(path: Path) -> bool:
+    """Whether the configuration of nerfstudio's run beside a file says that it was trained with antialiasing."""
+    file = path.with_name("config.yml")
+    return file.is_file() and re.search(r"^\s*rasterize_mode: antialiased\s*$", read_text(file), re.M) is not None
 
 
 def _report(folder: Path) -> SavedReport:
@@ -160,7 +166,8 @@ def read_gaussians(path: Path) -> Gaussians:
     """Read what :func:`save_gaussians` wrote."""
     try:
         with safe_open(regular(path, most=None), framework="pt") as file:
-            return Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
+            gaussians = Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
+            return gaussians.marked("antialiased" in (file.metadata() or {}))
     except (SafetensorError, OSError) as error:
         raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
 
@@ -197,11 +204,12 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
     """
     path = file_of(path)
     with stages("read", "the Gaussians"):
-        given = read_unturned(path, options.up, activated=options.activated)
+        given = read_unturned(path, options)
         saved = in_axes("opencv", given)
         sees_features = stylizer.branch.gaussian_head is not None
         side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
-        cameras, sources, origin = cameras_of(path, saved, views, options, stylizer.backbone.patch_size, side, given.up)
+        multiple, renderer = stylizer.backbone.patch_size, stylizer.renderer
+        cameras, sources, origin = cameras_of(path, saved, views, options, renderer, multiple, side, given.up)
         made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
     file = path if path.is_file() and given.up == "opencv" and not options.activated else None
     return ReadSplat(unstyled_of(saved), cameras, sources, origin, file, given.notes, made_of, saved.offset)
@@ -212,31 +220,33 @@ def cameras_of(
     saved: StyledScene,
     views: ViewOptions,
     options: SplatOptions,
+    renderer: Renderer,
     multiple: int,
     side: int,
     own_up: str = "opencv",
 ) -> tuple[Cameras, tuple[SourceImage, ...], CameraOrigin]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Sides of renders are multiples of ``multiple``; the shorter is ``side`` unless ``views`` give it. ``own_up`` are the
-    axes that the file had before it was turned to OpenCV's. Beside the cameras it returns what their images are called,
-    and where they come from.
+    ``renderer`` tells where around it most is seen. Sides of renders are multiples of ``multiple``; the shorter is
+    ``side`` unless ``views`` give it. ``own_up`` are the axes of the file before it was turned to OpenCV's. Beside the
+    cameras it returns what their images are called, and where they come from.
     """
     side = max(multiple, round((views.short_side or side) / multiple) * multiple)
     stored = {} if options.folder else saved_cameras(saved)
     stored = stored or cameras_beside(path, options.folder, saved.offset, own_up)
     if not stored:
-        names = [f"view_{index:02d}" for index in range(options.cameras)]
-        sources = tuple(SourceImage.covering(name, (side, side), (side, side)) for name in names)
         gaussians = unstyled_of(saved)
+        cameras = facing(gaussians, options.cameras, side, renderer)
+        names = [f"view_{index:02d}" for index in range(cameras.intrinsics.shape[1])]
+        sources = tuple(SourceImage.covering(name, (side, side), (side, side)) for name in names)
         _log.warning(
-            "no cameras are in %s or beside it: %d are chosen around the scene, some of them perhaps behind a wall; "
+            "no cameras are in %s or beside it: %d are chosen around the scene, where most of it is seen; "
             "splat.folder=FOLDER reads those of the photographs%s",
             path.name,
-            options.cameras,
+            len(names),
             _doubt_of_up(gaussians) if options.up is None and own_up == "opencv" else "",
         )
-        return around(gaussians, options.cameras, side), sources, "chosen"
+        return cameras, sources, "chosen"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
     whole = stored[names[chosen[0]]].size
@@ -263,6 +273,23 @@ def _doubt_of_up(gaussians: Gaussians) -> str:
     return "; its surfaces lie mostly across z, and up is taken to be -y: splat.up=z if renders lie on their side"
 
 
+def facing(gaussians: Gaussians, number: int, side: int, renderer: Renderer) -> Cameras:
+    """At most ``number`` of the cameras around a scene, where many Gaussians are seen in a full picture.
+
+    The number of Gaussians that a camera shows, half as large at least as the camera that shows them largest, is
+    multiplied by what they cover of its picture: behind a wall most are hidden, and beside one the picture is empty.
+    """
+    device = (*renderer.devices, "cpu")[0]
+    ring = around(gaussians, max(CANDIDATES, number), SMALL)
+    with torch.no_grad():
+        shown = pixels_shown(gaussians.to(device), ring.to(device), renderer)  # V N
+    score = (2 * shown >= shown.amax(0).clamp_min(1e-6)).sum(1) * shown.sum(1)
+    score = score + score.roll(1) + score.roll(-1)  # of directions: the rings see unequally much
+    kept = (score >= FACING * score.max()).nonzero()[:, 0].cpu()
+    chosen = torch.linspace(0, len(kept) - 1, min(number, len(kept))).round().long()
+    return ring.select(kept[chosen]).resized((side, side))
+
+
 def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
     """Cameras on two rings around the middle of a scene, looking at it; -y is up, as in OpenCV's axes.
 
@@ -276,9 +303,11 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
         return means.new_tensor(np.quantile(data, fraction, axis=0, weights=weights, method="inverted_cdf"))
 
     middle = quantile(means, 0.5)
-    radius = quantile((means - middle).norm(dim=1), 0.8)
+    radius = quantile((means - middle).norm(dim=1) + gaussians.scales[0].amax(1), 0.8)
     turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
-    rise = torch.deg2rad(torch.tensor(ELEVATIONS))[torch.arange(number) % len(ELEVATIONS)]
+    # By the golden ratio, so that every few of them, evenly spaced, are of both rings.
+    ring = (len(ELEVATIONS) * (0.618034 * torch.arange(number) % 1)).long()
+    rise = torch.deg2rad(torch.tensor(ELEVATIONS))[ring]
     towards = torch.stack([rise.cos() * turn.cos(), -rise.sin(), rise.cos() * turn.sin()], dim=1).to(means)
     eye = middle + DISTANCE * radius * towards
     intrinsics = torch.tensor([[FOCAL * side, 0.0, side / 2], [0.0, FOCAL * side, side / 2], [0.0, 0.0, 1.0]])

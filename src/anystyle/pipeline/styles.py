@@ -164,6 +164,8 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
 
 def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
     match = stylizer.style_encoder.match_text(text)
+    if match is not None and match.unknown_words and match.similarity <= 0:
+        raise UserError(f"the style encoder knows no word of the text {text!r}; say it in English, or give a picture")
     if match is not None and match.unknown_words:
         _log.warning(
             "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)%s",

@@ -120,6 +120,7 @@ def parser() -> argparse.ArgumentParser:
         "views.masked=empty: nothing is there"
     )
     add("--photo-masks", metavar="DIR", help=photo_masks)
+    add("--run", metavar="DIR", help="in place of model=NAME: the style branch that a training wrote, with its parts")
     formats = "additional files of the scene, by the names of `anystyle plugins format`; several with commas"
     add("--export", default="", metavar="FORMATS", help=formats)
     add("--again", metavar="REPORT", help="what a report.json was asked for; further arguments are added")
@@ -140,6 +141,8 @@ def parsed(args: Sequence[str], flags: argparse.ArgumentParser | None = None) ->
         following = args[index + (1 if "=" in args[index] else 2) :]
         return parsed([*map(str, request), *args[:index], *following], flags)
     meant: dict[str, object] = {} if arguments.photo_masks is None else {"views.masks": arguments.photo_masks}
+    if arguments.run is not None:
+        meant["run"] = arguments.run
     if arguments.export:
         if any(word.startswith("export.formats=") for word in overrides):
             raise UserError("formats are named twice; give --export or export.formats")

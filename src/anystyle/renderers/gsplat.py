@@ -24,6 +24,16 @@ class GsplatRenderer(Rasterizer):
     devices = ("cuda",)
     priority = 10
 
+    @classmethod
+    def lacks(cls) -> str | None:
+        try:
+            _rasterization()
+            from gsplat.cuda._backend import _C  # pyright: ignore[reportMissingImports]
+        except (MissingExtra, ImportError):
+            return 'is not installed: pip install "anystyle[gpu]"'
+        # As it is imported, it compiles its kernels, once, or finds no compiler.
+        return None if _C is not None else "cannot compile its kernels: install the CUDA toolkit, whose nvcc it runs"
+
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         rasterization = _rasterization()
         scenes = range(gaussians.means.shape[0])
@@ -62,6 +72,7 @@ class GsplatRenderer(Rasterizer):
             eps2d=self.eps2d,
             render_mode="RGB+D",
             packed=False,
+            rasterize_mode="antialiased" if gaussians.antialiased else "classic",
             # Computed here, so that quaternions of norm 0 are treated as in the other renderers.
             covars=covariances(rotations, scales),
         )

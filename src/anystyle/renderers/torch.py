@@ -33,29 +33,26 @@ class TorchRenderer(CappedRasterizer):
 
     def _view(self, gaussians: Gaussians, cameras: Cameras, scene: int, view: int) -> Float[Tensor, "5 H W"]:
         """Accumulated red, green, blue and depth of one view, and its transmittance."""
-        means, opacities = gaussians.means[scene], gaussians.opacities[scene]  # N 3, N
+        means = gaussians.means[scene]  # N 3
         splats = project(
             means,
             covariances(gaussians.rotations[scene], gaussians.scales[scene]),
-            opacities,
+            gaussians.opacities[scene],
             cameras.camera_from_world[scene, view],
             cameras.intrinsics[scene, view],
             cameras.size,
             near=self.near,
             far=self.far,
             eps2d=self.eps2d,
+            antialiased=gaussians.antialiased,
         )
         rays = normalize(means[splats.index] - cameras.world_from_camera[scene, view, :3, 3], dim=-1)  # n 3
         color = colors(gaussians.harmonics[scene, splats.index], rays)  # n 3
         payload = torch.cat([color, splats.depths[:, None]], dim=-1)  # n 4
-        return self._blend(splats, opacities[splats.index], payload, cameras.size)
+        return self._blend(splats, payload, cameras.size)
 
     def _blend(
-        self,
-        splats: ProjectedGaussians,
-        opacities: Float[Tensor, " n"],
-        payload: Float[Tensor, "n 4"],
-        size: tuple[int, int],
+        self, splats: ProjectedGaussians, payload: Float[Tensor, "n 4"], size: tuple[int, int]
     ) -> Float[Tensor, "5 H W"]:
         height, width = size
         rows = []
@@ -67,7 +64,7 @@ class TorchRenderer(CappedRasterizer):
                 near_x = (splats.means[:, 0] - x.mean()).abs() <= splats.radii[:, 0] + len(x) / 2
                 near_y = (splats.means[:, 1] - y.mean()).abs() <= splats.radii[:, 1] + len(y) / 2
                 index = (near_x & near_y).nonzero().squeeze(1)  # t, nearest first
-                here = [splats.means[index], splats.conics[index], opacities[index], payload[index], x, y]
+                here = [splats.means[index], splats.conics[index], splats.opacities[index], payload[index], x, y]
                 # Recomputed when gradients are taken, as the alphas of all tiles together would not fit.
                 tiles.append(checkpoint(blend, *here, self.alpha_cap, use_reentrant=False, preserve_rng_state=False))
             rows.append(torch.cat(tiles, dim=2))

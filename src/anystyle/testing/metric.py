@@ -20,34 +20,34 @@ from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.types import Comparison, Views
 
 
-def test_figures_are_declared(plugin: Subject[Metric]) -> None:
-    """``better`` says of each figure whether higher or lower is better; ``compute`` returns one, or these by name."""
+def test_scores_are_declared(plugin: Subject[Metric]) -> None:
+    """``better`` says of each score whether higher or lower is better; ``compute`` returns one, or these by name."""
     better = getattr(plugin.cls, "better", None)
     declared = isinstance(better, Mapping) and better and set(better.values()) <= {"higher", "lower"}
     assert declared, f"better={better!r}; declare a class attribute such as {{'art_fid': 'lower'}}"
-    figures = _figures(plugin)
+    scores = _scores(plugin)
     with warnings.catch_warnings(action="ignore"):  # of too few images
         several = isinstance(build(plugin).compute(), dict)
-    assert several == (len(figures) > 1), "`compute` of one figure returns a tensor, for `self.log(name, metric)`"
-    assert sorted(figures) == sorted(better or ()), f"`compute` returned {sorted(figures)}, not {sorted(better or ())}"
-    for name, value in figures.items():
+    assert several == (len(scores) > 1), "`compute` of one score returns a tensor, for `self.log(name, metric)`"
+    assert sorted(scores) == sorted(better or ()), f"`compute` returned {sorted(scores)}, not {sorted(better or ())}"
+    for name, value in scores.items():
         scalar = isinstance(value, Tensor) and value.shape == () and value.is_floating_point()
         assert scalar, f"`{name}` is {value!r}, not a floating-point tensor without axes"
 
 
 def test_too_little_is_not_an_error(plugin: Subject[Metric]) -> None:
-    """Before any update the figures are ``nan``; after one image they are ``nan`` or numbers, never an error."""
-    figures = _computed(build(plugin), [])
-    assert all(bool(value.isnan()) for value in figures.values()), f"{figures} before any update, not nan"
+    """Before any update the scores are ``nan``; after one image they are ``nan`` or numbers, never an error."""
+    scores = _computed(build(plugin), [])
+    assert all(bool(value.isnan()) for value in scores.values()), f"{scores} before any update, not nan"
     _computed(build(plugin), _rows(batch=1, number=1))
 
 
 def test_order_does_not_matter(plugin: Subject[Metric]) -> None:
-    """Taking in scenes in another order, or in batches of any sizes, gives the same figures."""
+    """Taking in scenes in another order, or in batches of any sizes, gives the same scores."""
     rows, unequal = _rows(), "in batches of two and one"
     batches = {"in another order": rows[::-1], "as one batch": [comparison(3)], unequal: [comparison(2), rows[2]]}
     for what, given in batches.items():
-        asserts.close(_computed(build(plugin), given), _figures(plugin), f"the figures of the same scenes {what}")
+        asserts.close(_computed(build(plugin), given), _scores(plugin), f"the scores of the same scenes {what}")
 
 
 def test_copies_and_processes_can_be_merged(plugin: Subject[Metric]) -> None:
@@ -57,20 +57,20 @@ def test_copies_and_processes_can_be_merged(plugin: Subject[Metric]) -> None:
     _update(other, rows[2:])
     for make in (copy.deepcopy, lambda given: pickle.loads(pickle.dumps(given))):
         copied: Metric = make(metric)
-        asserts.close(_computed(copied, rows[2:]), _figures(plugin), "the figures of a copy that took in the rest")
+        asserts.close(_computed(copied, rows[2:]), _scores(plugin), "the scores of a copy that took in the rest")
     metric.merge_state(other)
-    asserts.close(_computed(metric, []), _figures(plugin), "the figures of two merged metrics; see `add_state`")
+    asserts.close(_computed(metric, []), _scores(plugin), "the scores of two merged metrics; see `add_state`")
 
 
 def test_inputs_are_left_alone(plugin: Subject[Metric]) -> None:
     """What was compared is left as it was, and after ``reset`` nothing of it counts."""
     given, metric = comparison(2), build(plugin)
     before = given.map(Tensor.clone)
-    figures = _computed(metric, [given])
+    scores = _computed(metric, [given])
     asserts.same(given, before, "the comparison after `update`")
     _computed(metric, _rows())
     metric.reset()
-    asserts.same(_computed(metric, [given]), figures, "the figures of a metric that was reset against a new one's")
+    asserts.same(_computed(metric, [given]), scores, "the scores of a metric that was reset against a new one's")
 
 
 def test_the_ideal_is_not_the_worst(plugin: Subject[Metric]) -> None:
@@ -90,9 +90,9 @@ def test_the_ideal_is_not_the_worst(plugin: Subject[Metric]) -> None:
         "noise in another style": replace(noisy, style=replace(given.style, image=given.style.image.flip(1, 3))),
         "noise of another scene": replace(photographs, stylized=noise, content=noise.flip(1), cameras=given.cameras),
     }
-    figures = {what: _computed(build(plugin), [result]) for what, result in results.items()}
+    scores = {what: _computed(build(plugin), [result]) for what, result in results.items()}
     for name, better in build(plugin).better.items():
-        merit = {what: float(each[name]) * (1 if better == "higher" else -1) for what, each in figures.items()}
+        merit = {what: float(each[name]) * (1 if better == "higher" else -1) for what, each in scores.items()}
         style, scene = merit.pop("noise in another style"), merit.pop("noise of another scene")
         ideal = "style image" if style != merit["noise"] else "photographs" if scene != merit["noise"] else "noise"
         worst = ideal != "noise" and merit.pop(ideal) < min(merit.values())
@@ -117,13 +117,13 @@ def _rows(batch: int = 3, number: int = 3) -> list[Comparison]:
 
 
 @cache
-def _figures(plugin: Subject[Metric]) -> dict[str, Tensor]:
+def _scores(plugin: Subject[Metric]) -> dict[str, Tensor]:
     return _computed(build(plugin), _rows())
 
 
 @torch.no_grad()
 def _update(metric: Metric, rows: Sequence[Comparison]) -> None:
-    with warnings.catch_warnings(action="ignore"):  # of too few images for a figure
+    with warnings.catch_warnings(action="ignore"):  # of too few images for a score
         for row in rows:
             metric.update(row)
 
@@ -132,4 +132,4 @@ def _update(metric: Metric, rows: Sequence[Comparison]) -> None:
 def _computed(metric: Metric, rows: Sequence[Comparison]) -> dict[str, Tensor]:
     _update(metric, rows)
     with warnings.catch_warnings(action="ignore"):
-        return metric.figures()
+        return metric.scores()

@@ -19,26 +19,26 @@ from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.types import OnProgress, Progress, no_progress
 
 
-def test_figures_are_numbers(plugin: Subject[Protocol]) -> None:
-    """It returns at least one figure, a float by its name; ``better`` names figures, ``provenance`` fits JSON."""
+def test_scores_are_numbers(plugin: Subject[Protocol]) -> None:
+    """It returns at least one score, a float by its name; ``better`` names scores, ``provenance`` fits JSON."""
     evaluation = _first(plugin)
-    assert isinstance(evaluation, Evaluation) and evaluation.figures, f"`run` returned {str(evaluation)[:100]}"
-    tables = [evaluation.figures, *evaluation.groups.values(), *(row.figures for row in evaluation.rows)]
-    figures = [(name, value) for table in tables for name, value in table.items()]
-    for name, value in figures:
-        assert name.isidentifier() and type(value) is float, f"the figure {name!r}: {value!r}"
-    strange = {*evaluation.better, *evaluation.stand_ins} - {name for name, _ in figures}
+    assert isinstance(evaluation, Evaluation) and evaluation.scores, f"`run` returned {str(evaluation)[:100]}"
+    tables = [evaluation.scores, *evaluation.groups.values(), *(row.scores for row in evaluation.rows)]
+    scores = [(name, value) for table in tables for name, value in table.items()]
+    for name, value in scores:
+        assert name.isidentifier() and type(value) is float, f"the score {name!r}: {value!r}"
+    strange = {*evaluation.better, *evaluation.stand_ins} - {name for name, _ in scores}
     valid = not strange and set(evaluation.better.values()) <= {"higher", "lower"}
-    assert valid, f"better={evaluation.better!r}, stand_ins={evaluation.stand_ins!r} of other figures: {strange}"
+    assert valid, f"better={evaluation.better!r}, stand_ins={evaluation.stand_ins!r} of other scores: {strange}"
     assert evaluation.n > 0, f"n={evaluation.n}; count what was judged"
     json.dumps(dict(evaluation.provenance))
 
 
-def test_figures_are_reproducible(plugin: Subject[Protocol]) -> None:
-    """A second run in a new folder gives the same figures, bit for bit, and reports progress."""
+def test_scores_are_reproducible(plugin: Subject[Protocol]) -> None:
+    """A second run in a new folder gives the same scores, bit for bit, and reports progress."""
     calls: list[Progress] = []
     second = _run(plugin, on_progress=calls.append)
-    asserts.same(_figures(second), _figures(_first(plugin)), "the figures of a second run")
+    asserts.same(_scores(second), _scores(_first(plugin)), "the scores of a second run")
     assert calls and all(call.line and 0 <= (call.done or 0) <= 1 for call in calls), f"it reported {calls[:4]}"
 
 
@@ -56,7 +56,7 @@ def test_interrupted_runs_resume(plugin: Subject[Protocol]) -> None:
             with suppress(KeyboardInterrupt):
                 _run(plugin, folder, interrupt)
         for what in ("an interrupted run that went on", "a run in the folder of a finished one"):
-            asserts.same(_figures(_run(plugin, folder)), _figures(_first(plugin)), f"the figures of {what}")
+            asserts.same(_scores(_run(plugin, folder)), _scores(_first(plugin)), f"the scores of {what}")
 
 
 def runtime() -> dict[str, Any]:
@@ -81,8 +81,8 @@ def _first(plugin: Subject[Protocol]) -> Evaluation:
     return _run(plugin)
 
 
-def _figures(evaluation: Evaluation) -> dict[str, Any]:
-    tables = {"": evaluation.figures, **evaluation.groups}
-    tables |= {f"row {row.scene} {row.style}": row.figures for row in evaluation.rows}
+def _scores(evaluation: Evaluation) -> dict[str, Any]:
+    tables = {"": evaluation.scores, **evaluation.groups}
+    tables |= {f"row {row.scene} {row.style}": row.scores for row in evaluation.rows}
     exact = functools.partial(torch.tensor, dtype=torch.float64)
-    return {table: {key: exact(value) for key, value in figures.items()} for table, figures in tables.items()}
+    return {table: {key: exact(value) for key, value in scores.items()} for table, scores in tables.items()}

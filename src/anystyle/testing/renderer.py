@@ -97,6 +97,13 @@ def test_long_gaussians_are_turned(plugin: Subject[Renderer]) -> None:
     assert 0.5 < seen / expected < 2, told
 
 
+def test_antialiased_gaussians_are_fainter(plugin: Subject[Renderer]) -> None:
+    """Antialiased Gaussians lose what a pixel's filter adds: thinner than a pixel, nearly all of their alpha."""
+    scene, seen = _single(torch.zeros(3), size=0.002), cameras(1, 1, (33, 33))
+    before, after = (_render(plugin, scene.marked(mode), seen).alpha.sum() for mode in (False, True))
+    assert after < 0.1 * before, "antialiased Gaussians are drawn as others; multiply opacities as their class says"
+
+
 def test_near_hides_far(plugin: Subject[Renderer]) -> None:
     """An opaque Gaussian hides what is behind it, and shows its own colour."""
     front, back = (_single(torch.tensor([0.0, 0.0, z]), size=1.0, color=c) for z, c in ((-1.0, RED), (1.0, GREEN)))

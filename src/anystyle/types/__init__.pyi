@@ -16,7 +16,7 @@ from .network import untouched as untouched
 from .progress import OnProgress as OnProgress
 from .progress import Progress as Progress
 from .progress import no_progress as no_progress
-from .scene import ANTIALIASED as ANTIALIASED
+from .scene import AntialiasedGaussians as AntialiasedGaussians
 from .scene import Clusters as Clusters
 from .scene import Gaussians as Gaussians
 from .scene import Reconstructed as Reconstructed

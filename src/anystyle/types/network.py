@@ -228,7 +228,7 @@ class Attributes(Value):
 class Source:
     """The weights of one network.
 
-    Figures of a stand-in for a network are comparable with those of the same stand-in only.
+    Scores of a stand-in for a network are comparable with those of the same stand-in only.
     """
 
     network: str
@@ -242,10 +242,10 @@ class Source:
         return f"{self.network}:{self.stand_in}:{self.sha256}"
 
 
-def stand_ins(figures: Iterable[str], *sources: Source) -> dict[str, str]:
-    """For each of the figures that rest on these networks, the stand-ins among them; empty where there is none."""
+def stand_ins(scores: Iterable[str], *sources: Source) -> dict[str, str]:
+    """For each of the scores that rest on these networks, the stand-ins among them; empty where there is none."""
     names = ", ".join(dict.fromkeys(source.stand_in for source in sources if source.stand_in))
-    return dict.fromkeys(figures, names) if names else {}
+    return dict.fromkeys(scores, names) if names else {}
 
 
 def checksums(*sources: Source) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -51,12 +51,19 @@ class Gaussians(Given):
     opacities: Float[Tensor, "B N"]
     harmonics: Float[Tensor, "B N K 3"]
 
+    antialiased: ClassVar[bool] = False
+    """Whether renderers lower opacities by what a pixel's filter adds: see :class:`AntialiasedGaussians`."""
+
+    def marked(self, antialiased: bool) -> "Gaussians":
+        """The same Gaussians, of a training with antialiasing or without."""
+        return (AntialiasedGaussians if antialiased else Gaussians)(**vars(self))
+
     def save(self, path: str | Path, *, scene: int = 0) -> None:
         """Write one scene of the batch as a 3DGS PLY file (see :func:`anystyle.io.ply.write`)."""
         from anystyle.io import ply
 
-        tensors = (self.means, self.rotations, self.scales, self.opacities, self.harmonics)
-        ply.write(Splats(*(tensor[scene] for tensor in tensors)), Path(path))
+        notes = [ply.ANTIALIASED] * self.antialiased
+        ply.write(Splats(*(getattr(self, name)[scene] for name in Splats._fields)), Path(path), notes)
 
     def shares(self, other: "Gaussians", names: Iterable[str]) -> bool:
         """Whether the attributes of these names are the same in both, bit for bit."""
@@ -67,7 +74,19 @@ class Gaussians(Given):
         """Read a 3DGS PLY file as a batch of one scene (see :func:`anystyle.io.ply.read`)."""
         from anystyle.io import ply
 
-        return cls(*(tensor[None] for tensor in ply.read(Path(path))))
+        read = cls(*(tensor[None] for tensor in ply.read(Path(path))))
+        return read.marked(any(map(ply.is_antialiased, ply.comments(Path(path)))))
+
+
+@dataclass(frozen=True)
+class AntialiasedGaussians(Gaussians):
+    """Gaussians of a training with antialiasing, such as gsplat's ``rasterize_mode="antialiased"``.
+
+    A renderer multiplies the opacity of each by ``sqrt(det S / det(S + eps2d I))``, with its covariance S in the image
+    in pixels²: a Gaussian thinner than a pixel is fainter, as it is wider (Yu et al. 2024, Mip-Splatting).
+    """
+
+    antialiased: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -105,7 +124,7 @@ class Scene(Value):
 
 
 class Reconstructed(NamedTuple):
-    """A reconstructed scene, and measured figures by name for a report."""
+    """A reconstructed scene, and measured scores by name for a report."""
 
     scene: Scene
     measures: Mapping[str, float]
@@ -124,10 +143,6 @@ class Renders(Value):
     color: Float[Tensor, "B V 3 H W"]
     depth: Float[Tensor, "B V H W"]
     alpha: Float[Tensor, "B V H W"]
-
-
-ANTIALIASED = "SplatRenderMode: mip"
-"""The note of a scene that was trained with opacities that are compensated for a pixel's filter, as gsplat has it."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +173,8 @@ class StyledScene:
 
     @property
     def antialiased(self) -> bool:
-        """Whether a note says that viewers have to compensate opacities for a pixel's filter."""
-        return ANTIALIASED in self.notes
+        """Whether the last style was trained with antialiasing."""
+        return self.styles[-1][1].antialiased
 
     def splats(self, style: int = -1) -> Splats:
         """The tensors of the scene in one of its styles."""

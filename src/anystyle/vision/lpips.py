@@ -39,7 +39,7 @@ ST_SIDE = 96
 class Lpips(Frozen):
     """Weighted squared differences of features of unit length, averaged over pixels and added over layers.
 
-    ``heads`` are the weights, one for each channel of each layer; images are shrunk to the side ``longest``; figures
+    ``heads`` are the weights, one for each channel of each layer; images are shrunk to the side ``longest``; scores
     call the distance by its ``name``.
     """
 

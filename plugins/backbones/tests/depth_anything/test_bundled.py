@@ -44,11 +44,11 @@ def test_unseen_scenes_come_out_nearer_than_the_mean(tiny: Stylizer, heldout: li
         with torch.no_grad():
             scene = tiny.encode(Views(views.images))
             renders = tiny.render(scene_gaussians(tiny, scene), scene.geometry.cameras)
-        found.append(figures(geometry_errors(scene.geometry, views), renders.color, views.images))
+        found.append(scores(geometry_errors(scene.geometry, views), renders.color, views.images))
         still = views.cameras.select([0, 0, 0, 0])
         plane = Geometry(still, torch.ones_like(scene.geometry.depth), torch.ones_like(scene.geometry.depth))
         mean = views.images.mean((1, 3, 4), keepdim=True).expand_as(views.images)
-        plain.append(figures(geometry_errors(plane, views), mean, views.images))
+        plain.append(scores(geometry_errors(plane, views), mean, views.images))
     depth, turn, color = torch.tensor(found).mean(0)
     plain_depth, plain_turn, plain_color = torch.tensor(plain).mean(0)
     assert depth < 0.7 * plain_depth
@@ -60,5 +60,5 @@ def scene_gaussians(stylizer: Stylizer, scene: Scene) -> Gaussians:
     return stylizer.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
 
 
-def figures(errors: dict[str, torch.Tensor], drawn: torch.Tensor, seen: torch.Tensor) -> list[float]:
+def scores(errors: dict[str, torch.Tensor], drawn: torch.Tensor, seen: torch.Tensor) -> list[float]:
     return [float(errors["depth_abs_rel"]), float(errors["rotation_error_median_deg"]), float(psnr(drawn, seen).mean())]

@@ -54,12 +54,12 @@ function quaternion(packed, out) {
 }
 
 function geometry(means, rotations, scales, opacities) {
-  const n = scene.count, [low, high] = scene.scales, q = [1, 0, 0, 0], sigma = [0, 0, 0];
+  const n = scene.count, q = [1, 0, 0, 0], sigma = [0, 0, 0];
   const texels = new Float32Array(4 * 3 * ROW * Math.ceil(n / ROW));
   for (let i = 0; i < n; i++) {
     quaternion(rotations[i], q);
     const [w, x, y, z] = q;
-    for (let k = 0; k < 3; k++) sigma[k] = Math.exp(2 * (low + (high - low) * scales[k * n + i] / 255));
+    for (let k = 0; k < 3; k++) sigma[k] = Math.exp(2 * scene.scales[scales[k * n + i]]);
     const r = [
       [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
       [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -112,7 +112,7 @@ function sorter() {
 const VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D;
 uniform sampler2D geometry, colors;
-uniform mat3 rotation; uniform vec3 translation; uniform vec2 focal, center, size; uniform float blur;
+uniform mat3 rotation; uniform vec3 translation; uniform vec2 focal, center, size; uniform float blur; uniform bool antialiased;
 in vec2 corner; in uint index;
 out vec4 color; out vec2 away; flat out vec3 conic;
 void main() {
@@ -129,6 +129,8 @@ void main() {
   mat3 flat_cov = jacobian * rotation * cov * transpose(rotation) * transpose(jacobian);
   float xx = flat_cov[0][0] + blur, xy = flat_cov[0][1], yy = flat_cov[1][1] + blur, det = xx * yy - xy * xy;
   if (det <= 0.0) return;
+  if (antialiased) first.w *= sqrt(max(((xx - blur) * (yy - blur) - xy * xy) / det, 0.0));
+  if (first.w < 1.0 / 255.0) return;
   conic = vec3(yy, -xy, xx) / det;
   away = corner * sqrt(2.0 * log(255.0 * first.w)) * sqrt(vec2(xx, yy));
   vec2 pixel = focal * p.xy / p.z + center + away;
@@ -219,6 +221,7 @@ class Renderer {
     gl.uniform2f(this.uniform("center"), ...center);
     gl.uniform2f(this.uniform("size"), width, height);
     // The low-pass filter of a pixel of the photographs, so that no gaps open where the window is larger.
+    gl.uniform1i(this.uniform("antialiased"), scene.antialiased);
     gl.uniform1f(this.uniform("blur"), 0.3 * Math.max(1, fit) ** 2);
     const split = Math.round(divider * width);
     gl.enable(gl.SCISSOR_TEST);

@@ -40,9 +40,9 @@ class ToyProtocol(Protocol):
                     temporary.write_text(json.dumps({"contrast_change": self._judge(scene)}))
             rows.append(Row(self.scenes.name(scene), self.style.names[0], json.loads(kept.read_text())))
         on_progress(Progress.count("scenes", self.num_scenes, self.num_scenes))
-        mean = sum(row.figures["contrast_change"] for row in rows) / len(rows)
+        mean = sum(row.scores["contrast_change"] for row in rows) / len(rows)
         better = {"contrast_change": "lower"}
-        return Evaluation(figures={"contrast_change": mean}, n=len(rows), better=better, rows=tuple(rows))
+        return Evaluation(scores={"contrast_change": mean}, n=len(rows), better=better, rows=tuple(rows))
 
     @torch.no_grad()
     def _judge(self, scene: int) -> float:

@@ -42,11 +42,13 @@ class ToyRenderer(Renderer):
         # The mean of the two variances across the line of sight: the trace of the covariance without its z part.
         spread = covariances(gaussians.rotations[scene], gaussians.scales[scene])  # N 3 3
         across = spread.diagonal(dim1=-2, dim2=-1).sum(-1) - pose[2, :3] @ spread @ pose[2, :3]
-        variance = across / 2 * (intrinsics[0, 0] / depth) ** 2 + self.blur  # N
+        sharp = across / 2 * (intrinsics[0, 0] / depth) ** 2  # N
+        variance = sharp + self.blur
+        opacities = gaussians.opacities[scene] * (sharp / variance if gaussians.antialiased else 1.0)
         v, u = torch.meshgrid(torch.arange(cameras.size[0]), torch.arange(cameras.size[1]), indexing="ij")
         offset = torch.stack([u, v], dim=-1).to(center) + 0.5 - center[:, None, None]  # N H W 2
         falloff = torch.exp(-0.5 * offset.square().sum(-1) / variance[:, None, None])
-        alpha = (gaussians.opacities[scene] * (local[:, 2] > self.near))[:, None, None] * falloff  # N H W
+        alpha = (opacities * (local[:, 2] > self.near))[:, None, None] * falloff  # N H W
         order = local[:, 2].argsort()
         alpha = alpha[order]
         passing = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha).cumprod(0)[:-1]])  # what is left of the light

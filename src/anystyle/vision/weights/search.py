@@ -115,7 +115,7 @@ def locate(network: str, choice: Weights) -> Path | None:
     except MissingWeights as error:
         if choice == "published":
             raise
-        log.warning("a stand-in replaces %s, its figures are not comparable: %s", network, error)
+        log.warning("a stand-in replaces %s, its scores are not comparable: %s", network, error)
         return None
 
 

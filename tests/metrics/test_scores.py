@@ -12,13 +12,16 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torchmetrics.image.kid import poly_mmd
 
 from anystyle.contracts import Metric
+from anystyle.errors import UserError
 from anystyle.metrics.art_fid import ArtFID, frechet_distance, frechet_infinity
 from anystyle.metrics.color_match import ColorMatch
 from anystyle.metrics.kid import KID, discrepancy
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.testing.oracle import hashed, smooth_image
+from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.testing.toy.metric import ToyMetric
+from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Comparison, Style
 from anystyle.vision import feature_cache
@@ -35,10 +38,10 @@ def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:
     return Comparison(content.expand(styles, -1, -1, -1, -1), stylized, Style(image))
 
 
-def figure(metric: Metric, *comparisons: Comparison) -> float:
+def score(metric: Metric, *comparisons: Comparison) -> float:
     for comparison in comparisons:
         metric.update(comparison)
-    (value,) = metric.figures().values()
+    (value,) = metric.scores().values()
     return float(value)
 
 
@@ -49,18 +52,18 @@ def test_psnr_and_ssim_agree_with_scikit_image():
         for a, b in zip(given.content.flatten(0, 1), given.stylized.flatten(0, 1), strict=True)
     ]
     noise = np.mean([peak_signal_noise_ratio(a, b, data_range=1) for a, b in pairs])
-    np.testing.assert_allclose(figure(PSNR(), given), noise, rtol=1e-5)
+    np.testing.assert_allclose(score(PSNR(), given), noise, rtol=1e-5)
     options = {"channel_axis": 2, "data_range": 1, "gaussian_weights": True, "sigma": 1.5}
     both = [
         structural_similarity(a, b, use_sample_covariance=False, win_size=11, full=True, **options)[1] for a, b in pairs
     ]
-    np.testing.assert_allclose(figure(SSIM(), given), np.mean([x[5:-5, 5:-5] for x in both]), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(score(SSIM(), given), np.mean([x[5:-5, 5:-5] for x in both]), rtol=0, atol=1e-6)
 
 
 def test_equal_images_are_as_good_as_it_gets():
     same = replace(pictures(), stylized=pictures().content.contiguous())
-    assert figure(PSNR(), same) == 100
-    assert figure(SSIM(), same) == pytest.approx(1)
+    assert score(PSNR(), same) == 100
+    assert score(SSIM(), same) == pytest.approx(1)
 
 
 def test_kid_agrees_with_torchmetrics():
@@ -119,17 +122,17 @@ def test_directions_and_similarities_are_cosines():
     encoder = ToyStyleEncoder().requires_grad_(False).eval()
     given = pictures(styles=1, frames=2)
     toward = replace(given, style=Style(given.stylized[:, 0]), stylized=given.stylized[:, :1].expand(-1, 2, -1, -1, -1))
-    assert figure(ClipStyle(style_encoder=encoder, size=None), toward) == pytest.approx(1, abs=1e-5)
+    assert score(ClipStyle(style_encoder=encoder, size=None), toward) == pytest.approx(1, abs=1e-5)
     before, after = (encoder.embed_images(images[0]) for images in (given.content, given.stylized))
     wanted = encoder.embed_images(given.style.image) - encoder.embed_texts([encoder.neutral])
     expected = torch.nn.functional.cosine_similarity(after - before, wanted).mean()
-    assert figure(ClipDirection(style_encoder=encoder, size=None), given) == pytest.approx(float(expected), abs=1e-5)
+    assert score(ClipDirection(style_encoder=encoder, size=None), given) == pytest.approx(float(expected), abs=1e-5)
 
 
-def test_stand_ins_are_named_by_figure():
+def test_stand_ins_are_named_by_score():
     metric = ArtFID(weights="stand_in")
-    by_figure = dict.fromkeys(("fid", "fid_infinity"), "texture_moments") | {"lpips": "texture_distance"}
-    assert metric.stand_ins == {"art_fid": "texture_moments, texture_distance", **by_figure}
+    by_score = dict.fromkeys(("fid", "fid_infinity"), "texture_moments") | {"lpips": "texture_distance"}
+    assert metric.stand_ins == {"art_fid": "texture_moments, texture_distance", **by_score}
     assert [len(digest) for digest in metric.weights.values()] == [64]
     with pytest.raises(FileNotFoundError, match="weights 'art_inception' are missing"):
         ArtFID(weights="published")
@@ -141,7 +144,7 @@ def test_one_style_only_has_a_value_and_a_warning():
     with pytest.warns(UserWarning, match="one style image only"):
         assert metric.compute()["fid"] > 0
     with pytest.warns(UserWarning, match="3 stylized and 1 distinct style images"):
-        assert np.isnan(figure(KID(weights="stand_in"), pictures(styles=1)))
+        assert np.isnan(score(KID(weights="stand_in"), pictures(styles=1)))
 
 
 def test_few_images_are_warned_of():
@@ -235,13 +238,30 @@ def test_frames_are_neighbours_by_their_numbers():
         rows = given.content[:, list(views)], given.stylized[:, list(views)]
         metric.update(Comparison(*rows, numbers=numbers))
         with warnings.catch_warnings(action="ignore"):  # of a range without pairs
-            return {name: float(value) for name, value in metric.figures().items()}
+            return {name: float(value) for name, value in metric.scores().items()}
 
     some, one, other = found(0, 1, 2, 3, numbers=(0, 1, 3, 7)), found(0, 1), found(0, 3)
     assert some["warp_rmse_short"] == pytest.approx(one["warp_rmse_short"], rel=1e-6)
     assert some["warp_rmse_long"] == pytest.approx(other["warp_rmse_short"], rel=1e-6)
     with pytest.raises(ValueError, match="2 views have 1 numbers"):
         found(0, 1, numbers=(0,))
+
+
+@pytest.mark.parametrize("variant", ["reference", "corrected"])
+def test_a_correspondence_of_a_wrong_shape_is_named(variant):
+    class Last(ToyCorrespondence):
+        def __call__(self, source, target):
+            flow = super().__call__(source, target)
+            object.__setattr__(flow, "displacement", flow.displacement.movedim(1, -1))  # unchecked, as outside of tests
+            return flow
+
+        def displacement(self, source, target):
+            return self(source, target).displacement
+
+    metric = WarpConsistency(correspondence=Last(), variant=variant, weights="stand_in")
+    shown, scenes = pictures(styles=1), ToyScenes(num_scenes=1, size=(70, 70)).read(0, range(3))
+    with pytest.raises(UserError, match=r"\Agiven the .*correspondence Last.* of shape \[2, 70, 70, 2\]; expected"):
+        metric.update(replace(shown, cameras=scenes.cameras, depth=scenes.depth))
 
 
 def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_variant():

@@ -5,7 +5,7 @@ from collections import Counter
 
 import pytest
 
-from anystyle_paper import published_figures as published
+from anystyle_paper import published_scores as published
 from tests.support.real_data import ROOT
 
 TRANSCRIPT = ROOT.parent / "reference" / "paper_tables.json"
@@ -27,7 +27,7 @@ def test_every_printed_cell_is_stored_with_its_mark_and_its_origin():
     if not TRANSCRIPT.is_file():
         pytest.skip(f"{TRANSCRIPT.name} is absent; ANYSTYLE_TEST_DATA names the folder beside that of reference/")
     transcript = json.loads(TRANSCRIPT.read_text())
-    stored = {(item.table, item.method, item.scene, item.figure): item for item in of_the_paper()}
+    stored = {(item.table, item.method, item.scene, item.score): item for item in of_the_paper()}
     cells = [(table["id"], cell) for table in transcript["tables"] for cell in table["rows"]]
     for table, cell in cells:
         scene = "" if cell["scene"] in (None, "all") else cell["scene"]
@@ -44,5 +44,5 @@ def test_every_printed_cell_is_stored_with_its_mark_and_its_origin():
 def test_the_bundled_tables_are_whole():
     counts = Counter(item.table for item in of_the_paper())
     assert counts == {"table_1": 60, "table_2": 90, "table_3": 48, "table_4": 176, "table_5": 100, "table_6": 100}
-    seconds = {item.method: item.value for item in published.load() if item.figure == "time_s"}
+    seconds = {item.method: item.value for item in published.load() if item.score == "time_s"}
     assert (seconds["StyleGaussian"], seconds["AnyStyle (image)"], seconds["Stylos"]) == (9900, 0.07, 0.05)

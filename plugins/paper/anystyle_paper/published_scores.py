@@ -1,4 +1,4 @@
-"""Figures that papers printed, each with the table that it stands in and its source."""
+"""Scores that papers printed, each with the table that it stands in and its source."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ PAPER = "anystyle"
 
 
 @dataclass(frozen=True)
-class PublishedFigure:
+class PublishedScore:
     """One cell of a paper's table; ``known_as`` is the method's name in the paper's other tables.
 
     The scene is empty for all scenes; values are numbers: times in seconds, properties 1 or 0.
@@ -25,7 +25,7 @@ class PublishedFigure:
 
     method: str
     scene: str
-    figure: str
+    score: str
     value: float
     printed: str
     table: str
@@ -36,12 +36,12 @@ class PublishedFigure:
 
 
 class _Row(msgspec.Struct):
-    """A method's row of a table: for each figure its cells by scene, as printed."""
+    """A method's row of a table: for each score its cells by scene, as printed."""
 
     method: str
     source: str
     table: str
-    figures: dict[str, dict[str, str | float]]
+    scores: dict[str, dict[str, str | float]]
     marks: dict[str, dict[str, str]] = {}
     family: str | None = None
     origin: str | None = None
@@ -60,48 +60,48 @@ def _bundled() -> _PublishedFile:
 
 
 def tables() -> dict[str, list[str]]:
-    """The figures of each table of the AnyStyle paper, by the table's name."""
+    """The scores of each table of the AnyStyle paper, by the table's name."""
     rows = [row for row in _bundled().rows if row.source == PAPER]
     return {
-        name: list(dict.fromkeys(figure for row in rows if row.table == name for figure in row.figures))
+        name: list(dict.fromkeys(score for row in rows if row.table == name for score in row.scores))
         for name in dict.fromkeys(row.table for row in rows)
     }
 
 
 def better() -> dict[str, str]:
-    """``higher`` or ``lower`` for each figure of the tables that has a direction."""
+    """``higher`` or ``lower`` for each score of the tables that has a direction."""
     return dict(_bundled().better)
 
 
-def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
-    """The figures that come with the package, and those of further JSON files of the same form."""
-    figures = _cells(_bundled())
+def load(more: Sequence[Path] = ()) -> list[PublishedScore]:
+    """The scores that come with the package, and those of further JSON files of the same form."""
+    scores = _cells(_bundled())
     for path in more:
-        what = f"file of published figures, with 'sources' and 'rows' as in {BUNDLED.name}"
+        what = f"file of published scores, with 'sources' and 'rows' as in {BUNDLED.name}"
         stored = read_json(path, _PublishedFile, what=what)
         try:
-            figures += _cells(stored)
+            scores += _cells(stored)
         except (KeyError, ValueError) as error:  # an unknown source, or a text that is not a number
             raise UserError(f"{path} is not a {what} ({str(error)[:80]})") from None
-    return figures
+    return scores
 
 
-def _cells(stored: _PublishedFile) -> list[PublishedFigure]:
+def _cells(stored: _PublishedFile) -> list[PublishedScore]:
     return [
-        PublishedFigure(
+        PublishedScore(
             method=row.method,
             scene=scene,
-            figure=figure,
+            score=score,
             value=_value(str(printed)),
             printed=str(printed),
             table=row.table,
             source=stored.sources[row.source],
             known_as=stored.aliases.get(row.method, row.method),
             origin="; ".join(filter(None, (row.family, row.origin))),
-            mark=row.marks.get(figure, {}).get(scene, ""),
+            mark=row.marks.get(score, {}).get(scene, ""),
         )
         for row in stored.rows
-        for figure, cells in row.figures.items()
+        for score, cells in row.scores.items()
         for scene, printed in cells.items()
     ]
 
