@@ -69,6 +69,18 @@ def test_jobs_that_left_nothing_are_missing(sweep):
     ]
 
 
+def test_jobs_that_are_named_by_their_words_are_found_also_where_these_have_a_slash(tmp_path):
+    (tmp_path / "multirun.yaml").write_text(
+        "hydra: {overrides: {task: ['scenes.root=in/a,b', 'seed=0,1', fast_dev_run=false]}}\n"
+    )
+    for name, words in {"scenes.root=in/a,seed=0": "in/a 0", "scenes.root=b,seed=0": "b 0"}.items():
+        root, seed = words.split()
+        job(tmp_path / name, f"scenes.root={root}", f"seed={seed}", "fast_dev_run=False", figures={"art_fid": 20.0})
+    found = {(run.state, *run.words[:2]) for run in runs.find(tmp_path)}
+    finished = {("finished", f"scenes.root={root}", "seed=0") for root in ("in/a", "b")}
+    assert found == finished | {("missing", f"scenes.root={root}", "seed=1") for root in ("in/a", "b")}
+
+
 def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     values = {"base": (10.0, 12.0, 14.5), "no_text": (20.0, 21.0, 19.0)}
     for v, (name, some) in enumerate(values.items()):

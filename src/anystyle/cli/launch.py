@@ -3,6 +3,7 @@
 import argparse
 import functools
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
@@ -19,7 +20,15 @@ from anystyle import paths
 from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, one_line, unknown
-from anystyle.registry.compose import VERSION_BASE, check_choices, check_words, choices, override, refused
+from anystyle.registry.compose import (
+    VERSION_BASE,
+    check_choices,
+    check_words,
+    choices,
+    override,
+    refused,
+    with_plugins,
+)
 from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -31,7 +40,9 @@ def main(config_name: str, function: Callable[[DictConfig], Any]) -> None:
     def command() -> None:
         flags = new_parser(config_name)
         describe(flags)
-        launch(config_name, function, split(flags, words_of(None))[1])
+        # `--training.learning_rate=1e-4` of a wandb sweep's agent is an override: no flag of these takes a value.
+        words = [word.removeprefix("--") if re.match(r"--[\w.]+=", word) else word for word in words_of(None)]
+        launch(config_name, function, split(flags, words)[1])
 
     run(command)
 
@@ -57,7 +68,7 @@ def launch(
     register()
     if out is not None and {"-m", "--multirun"} & {*words}:
         words = [override("hydra.sweep.dir", out), *words]
-    check_words(words)
+    check_words(config_name, words)
     if folder is None:
         check_choices(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
@@ -82,7 +93,7 @@ def launch(
             raise JobError(error) from error  # Hydra goes on with the other jobs
 
     run_hydra = hydra.main(config_path=str(folder or paths.CONF), config_name=config_name, **VERSION_BASE)
-    with _for_hydra(words):
+    with _for_hydra(with_plugins(words)):
         try:
             run_hydra(task)()
         except JobError as failed:
