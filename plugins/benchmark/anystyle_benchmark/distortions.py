@@ -105,7 +105,8 @@ def with_floaters(gaussians: Gaussians, cameras: Cameras, per_camera: float, *, 
         radius = FLOATER_RADIUS * min(cameras.size) * z / cameras.intrinsics[0, view, 0, 0]
         chosen = (draws[:, 3] * gaussians.means.shape[1]).long()
         added.append(
-            Gaussians(
+            replace(
+                gaussians,
                 means=means[None],
                 rotations=means.new_tensor([1.0, 0, 0, 0]).expand(1, count, 4),
                 scales=radius[None, :, None].expand(1, count, 3),
