@@ -40,6 +40,7 @@ def test_losses(name):
         assert isinstance(loss(given.to(device)), There)
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of metrics that find nothing in these images to judge
 @pytest.mark.parametrize("name", catalog().names("metric"))
 def test_metrics(name):
     given = inputs.comparison()
