@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 METHODS := plugins/benchmark/anystyle_benchmark/methods
-EXTRAS := report,flow,heic,sweeps,hub,viewer,app,words,spz
+EXTRAS := report,heic,sweeps,hub,viewer,app,words,spz
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: setup demo benchmark-smoke benchmark-methods docs notebooks test tests test-smoke test-slow lint format

@@ -21,6 +21,7 @@ def rasterization(**given: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
     assert given["render_mode"] == "RGB+D"
     assert means.dtype == given["viewmats"].dtype == given["Ks"].dtype == torch.float32
     limits = {"near": given["near_plane"], "far": given["far_plane"], "eps2d": given["eps2d"]}
+    limits["antialiased"] = given["rasterize_mode"] == "antialiased"
     images = []
     for view, intrinsics in zip(given["viewmats"], given["Ks"], strict=True):
         splats = project(means, given["covars"], opacities, view, intrinsics, (height, width), **limits)
@@ -31,15 +32,15 @@ def rasterization(**given: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
             shown = colors(shown, torch.nn.functional.normalize(means[splats.index] - origin, dim=-1))
         payload = torch.cat([shown, splats.depths[:, None]], dim=-1)
         x, y = torch.arange(width) + 0.5, torch.arange(height) + 0.5
-        images.append(blend(splats.means, splats.conics, opacities[splats.index], payload, x, y, 0.999))
+        images.append(blend(splats.means, splats.conics, splats.opacities, payload, x, y, 0.999))
     image = torch.stack(images).movedim(1, -1)
     return image[..., :4], 1 - image[..., 4:], {}
 
 
-@pytest.mark.parametrize("degree", [0, 4])
-def test_asks_for_the_same_picture(monkeypatch: pytest.MonkeyPatch, degree: int) -> None:
+@pytest.mark.parametrize(("degree", "antialiased"), [(0, False), (4, False), (1, True)])
+def test_asks_for_the_same_picture(monkeypatch: pytest.MonkeyPatch, degree: int, antialiased: bool) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
-    scene, views = gaussians(2, 60, degree), cameras(2, 3, (12, 20))
+    scene, views = gaussians(2, 60, degree).marked(antialiased), cameras(2, 3, (12, 20))
     options = {"near": 2.5, "far": 3.6, "eps2d": 0.5}
     expected = TorchRenderer(**options).accumulate(scene, views)
     torch.testing.assert_close(GsplatRenderer(**options).accumulate(scene, views), expected, rtol=1e-4, atol=2e-5)

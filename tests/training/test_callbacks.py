@@ -14,8 +14,9 @@ import torch
 from torch import nn
 
 from anystyle.training.callbacks import STOPS, MovingAverage, RunCheckpoint, StepSeed, StepTimer, requeue
-from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
+from anystyle.training.optim import learning_rate, scheduled, trainable
 from anystyle.training.safeguards import SkipOutliers
+from anystyle_tiny.training.decay import decayed_groups
 
 
 class Module(pl.LightningModule):

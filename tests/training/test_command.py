@@ -9,8 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
-from anystyle.cli.launch import launch
+from anystyle.cli.launch import launch, main
 from anystyle.cli.run import run as ending
 from anystyle.commands.train import run
 from anystyle.errors import UserError
@@ -58,6 +59,37 @@ def test_mistakes_end_in_one_line(tmp_path, monkeypatch, capsys):
     assert "max_stepps" in refused(capsys, "experiment=tiny_reconstruction", "debug=smoke", "trainer.max_stepps=3")
     assert not list(tmp_path.iterdir())
     assert "trainer.max_steps=0: " in refused(capsys, *STYLIZATION, "trainer.max_steps=0")
+
+
+def test_an_agent_of_a_wandb_sweep_gives_overrides_as_flags_and_a_search_path_keeps_the_plugins(tmp_path, monkeypatch):
+    (tmp_path / "conf" / "experiment").mkdir(parents=True)
+    (tmp_path / "conf" / "experiment" / "mine.yaml").write_text(
+        "# @package _global_\ndefaults: [tiny_ablation, _self_]\nvalidation_steps: 3\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    words = ["--training.learning_rate=1e-5", "--seed=3", "experiment=mine", "hydra.searchpath=[file://conf]"]
+    monkeypatch.setattr(sys, "argv", ["train", *words])
+    seen = []
+    main("train", seen.append)
+    assert [(each.training.learning_rate, each.seed, each.validation_steps) for each in seen] == [(1e-5, 3, 3)]
+
+
+@pytest.mark.parametrize(("word", "kept"), [("loss=[content]", {"content"}), ("without=[content,style]", None)])
+def test_the_configuration_that_is_shown_has_the_losses_that_take_part(tmp_path, monkeypatch, capsys, word, kept):
+    (tmp_path / "experiment").mkdir()
+    (tmp_path / "experiment" / "mine.yaml").write_text("# @package _global_\ndefaults: [tiny_ablation]\n")
+    monkeypatch.setattr(
+        sys, "argv", ["train", "experiment=mine", "-cd", str(tmp_path), word, "--cfg=job", "-p", "loss"]
+    )
+    main("train", lambda config: None)
+    shown = set(yaml.safe_load(capsys.readouterr().out))
+    assert shown == kept or (not kept and {"clip_patch"} <= shown and not shown & {"content", "style", "teacher"})
+
+
+def test_a_working_folder_of_the_jobs_own_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    told = refused(capsys, *STYLIZATION, "hydra.job.chdir=true")
+    assert "hydra.job.chdir=true: relative paths" in told and not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("word", ["styles=null", "scenes@validation_scenes=null"])

@@ -57,10 +57,11 @@ def test_scenes_are_made_once_and_read_as_they_were(tmp_path):
     assert later.made == 1 and len(again) == 3 and again.name(2) == "scene-2" and again.num_views(0) == 4
 
 
-def test_a_cache_of_another_source_is_refused(tmp_path):
-    CachedScenes(Counted(), tmp_path)
-    with pytest.raises(ValueError, match="made by another scene source"):
-        CachedScenes(Counted(size=16), tmp_path)
+def test_sources_that_share_a_cache_keep_apart(tmp_path):
+    """What a first try has left does not spoil the second one."""
+    for size in (8, 16, 8):
+        assert CachedScenes(Counted(size=size), tmp_path).read(0, [1]).images.shape[-2:] == (size, size)
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 class Steps:

@@ -23,6 +23,8 @@ NEAREST = 0.02
 TINT = (-0.5, 1.0, -0.5)
 """Relative gains of red, green and blue in a cast: green, as of fluorescent light, which few paintings have."""
 FLOATER_RADIUS, FLOATER_OPACITY = 0.02, 0.8
+GRAIN = 0.01
+"""Standard deviation of the blur that makes a texture of noise, of the shorter side of a view."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ def with_floaters(gaussians: Gaussians, cameras: Cameras, per_camera: float, *, 
         radius = FLOATER_RADIUS * min(cameras.size) * z / cameras.intrinsics[0, view, 0, 0]
         chosen = (draws[:, 3] * gaussians.means.shape[1]).long()
         added.append(
-            Gaussians(
+            replace(
+                gaussians,
                 means=means[None],
                 rotations=means.new_tensor([1.0, 0, 0, 0]).expand(1, count, 4),
                 scales=radius[None, :, None].expand(1, count, 3),
@@ -155,6 +158,14 @@ def flickering(views: Float[Tensor, "V 3 H W"], deviation: float, *, seed: int =
     return (views * (deviation * gains).exp()).clamp(0, 1)
 
 
+def textured(
+    views: Float[Tensor, "V 3 H W"], deviation: float, *, each: bool, seed: int = 0
+) -> Float[Tensor, "V 3 H W"]:
+    """Views with a texture of blurred noise that ignores the scene: the same on all, or ``each`` with its own."""
+    noise = blurred(_normal((len(views) if each else 1, *views.shape[1:]), seed), GRAIN)
+    return (views + deviation * noise / noise.std()).clamp(0, 1)
+
+
 def faded(shot: Shot, share: float) -> Float[Tensor, "V 3 H W"]:
     """Views of a style that is taken back: so much of the unstyled scene, and the rest of the stylized one.
 
@@ -195,6 +206,14 @@ DISTORTIONS: Mapping[str, Distortion] = MappingProxyType(
         "cameras": Distortion("cameras: wrong", SIDE, (0.002, 0.006, 0.018, 0.05), _cameras),
         "view_blur": Distortion("views: blur", f"SD, {SIDE}", (0.002, 0.005, 0.01, 0.02), _renders(blurred)),
         "view_noise": Distortion("views: noise", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2), _renders(noisy)),
+        "sliding": Distortion(
+            *("views: sliding texture", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2)),
+            _renders(lambda views, deviation: textured(views, deviation, each=False)),
+        ),
+        "own_texture": Distortion(
+            *("views: texture of their own", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2)),
+            _renders(lambda views, deviation: textured(views, deviation, each=True)),
+        ),
         "cast": Distortion("views: colour cast", "gain of green", (0.03, 0.07, 0.15, 0.3), _renders(tinted)),
         "flicker": Distortion("views: flicker", "SD of log gains", (0.03, 0.07, 0.15, 0.3), _renders(flickering)),
     }

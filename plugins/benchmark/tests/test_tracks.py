@@ -17,7 +17,7 @@ from anystyle_benchmark.judge import DEPTH
 from anystyle_benchmark.track import TRACKS, Inputs
 from tests.support.benchmark_world import write_track
 
-SHIPPED = ("open", "smoke", "ablation")
+SHIPPED = ("open", "smoke", "ablation", "consistency")
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate, normalize, pad
 
 from anystyle.contracts import Method
+from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.branch import painted
 from anystyle.methods.colors import fit_colors, pixels_shown
@@ -112,8 +113,8 @@ class Brush(Method):
             stroke = Stroke(width, length, max(1, round(width / (BRISTLE * pixel))), pixel * LIFT * (1 + depth) / 2)
             texture = PaintingTexture(picture, short, width, self.texture)
             layers.append(canvas.strokes(chosen, stroke, field, smooth, blur(colors, 0.5 * width), texture, generator))
-        missing = base.harmonics.shape[2] - 1
-        layers[1:] = [replace(one, harmonics=pad(one.harmonics, (0, 0, 0, missing))) for one in layers[1:]]
+        mode, more = base.antialiased, (0, 0, 0, base.harmonics.shape[2] - 1)
+        layers[1:] = [replace(one.marked(mode), harmonics=pad(one.harmonics, more)) for one in layers[1:]]
         return Gaussians.cat(layers, dim=1)
 
 
@@ -138,6 +139,8 @@ class _Canvas:
         """The centres of Gaussians that views show enough of."""
         cameras, (height, width) = scene.cameras, scene.cameras.size
         seen = (shown.sum(0) >= MIN_PIXELS) & (gaussians.opacities[0] >= MIN_OPACITY)
+        if not bool(seen.any()):
+            raise UserError("no Gaussian covers enough of a pixel for strokes to lie on; give larger views.short_side=")
         points, shown = gaussians.means[0, seen], shown[:, seen]
         views = shown.argmax(0)
         homogeneous = torch.cat([points, torch.ones_like(points[:, :1])], dim=1)

@@ -168,8 +168,13 @@ def test_options_are_checked():
 
 
 def test_several_styles_have_a_page_each_and_the_line_says_so(tmp_path, capsys):
-    known_wall().save(tmp_path / "wall.ply")
+    known_wall().marked(True).save(tmp_path / "wall.ply")
     words = ["--text", "blue", "--text", "red dots", "--export", "html", "--out", str(tmp_path / "out"), "method=brush"]
     stylize.main([str(tmp_path / "wall.ply"), *words, "views.short_side=56", "splat.cameras=2", "video.frames=2"])
     assert capsys.readouterr().out.strip().endswith("sheet.png; each style has a scene.html in its folder")
-    assert len(list((tmp_path / "out").glob("*/scene.html"))) == 2
+    pages = list((tmp_path / "out").glob("*/scene.html"))
+    assert len(pages) == 2 and all('"antialiased": true' in page.read_text() for page in pages)
+    replace(known_wall(), scales=known_wall().scales * 1e-3).marked(True).save(tmp_path / "thin.ply")
+    with pytest.raises(SystemExit, match="2"):
+        stylize.main([str(tmp_path / "thin.ply"), *words[:2], *words[6:], "splat.cameras=2", "views.short_side=28"])
+    assert "anystyle: error: " in capsys.readouterr().err

@@ -10,7 +10,7 @@ from anystyle.contracts import Command
 from anystyle.errors import MissingExtra, UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import contact_sheet
-from anystyle_paper import bars, command_verify, published_scores, run_table, runs
+from anystyle_paper import bars, command_verify, latex, published_scores, run_table, runs
 
 
 class Report(Command):
@@ -69,6 +69,8 @@ def _side_by_side(
     notes = run_table.state_notes(lines) + sources
     table = run_table.table(lines, columns, better, notes=notes)
     written = table.write(out, "table")
+    (out / "table.csv").write_text(run_table.data(lines, columns).csv(), encoding="utf-8", errors="backslashreplace")
+    (out / "table.tex").write_text(latex.aligned(table), encoding="utf-8", errors="backslashreplace")
     if sheet := run_table.sheet_cells(lines):
         cells, row_titles, column_titles = sheet
         pictures = contact_sheet(cells, row_titles=row_titles, column_titles=column_titles, cell=(160, 160))

@@ -53,8 +53,8 @@ class Line:
 
     def cell(self, column: ColumnKey) -> str:
         """A score as text, with the half-width of its interval where there are several seeds."""
-        if self.state or column in self.printed:
-            return self.state or self.printed[column]
+        if column in self.printed:
+            return self.printed[column]
         values = self.values(column)
         interval = f" ± {number(self.half_width(column))}" if len(values) > 1 else ""
         return number(self.value(*column)) + interval
@@ -181,6 +181,23 @@ def table(
     titles = [f"{scene} {titled(name, better)}".strip() for scene, name in columns]
     rows = tuple((line.title, line.source or line.state, *map(line.cell, columns)) for line in lines)
     return Table(("variant", "source", *titles), rows, notes=tuple(notes))
+
+
+def data(lines: Sequence[Line], columns: Sequence[ColumnKey]) -> Table:
+    """The table as numbers in full precision: each score, the half-width of its interval, and ``n``, the seeds.
+
+    Without an interval, as for one seed, its cell is empty.
+    """
+    titles = [f"{scene} {name}".strip() for scene, name in columns]
+    rows: list[tuple[str, ...]] = []
+    for line in lines:
+        counts, cells = [len(line.values(column)) for column in columns], list[str]()
+        for column, count in zip(columns, counts, strict=True):
+            cells += [repr(line.value(*column)) if count else "", repr(line.half_width(column)) if count > 1 else ""]
+        number = "" if line.origin == "published" else str(max(counts, default=0))
+        rows.append((line.title, line.source or line.state, *cells, number))
+    names = [name for title in titles for name in (title, f"{title}_half_width")]
+    return Table(("variant", "source", *names, "n"), tuple(rows))
 
 
 def state_notes(lines: Sequence[Line]) -> list[str]:

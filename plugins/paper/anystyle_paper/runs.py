@@ -50,14 +50,19 @@ def _inside(folder: Path) -> Iterator[Run]:
     lists = swept(folder)
     jobs = {str(number): words for number, words in enumerate(product(*lists) if lists else ())}
     known = {path.name: _run(path) for path in folders if _is_run(path)}
+    # Jobs whose folders are named by their words, which may have a / in them, lie deeper.
+    deeper = [run for path in folders if path.name not in known and "=" in path.name for run in _inside(path)]
+    by_words = [*deeper, *(run for name, run in known.items() if "=" in name)]
+    varied = {word for values in lists if len(values) > 1 for word in values}
     for name, words in jobs.items():
-        if name not in known:
+        if name not in known and not any(varied & set(words) <= set(run.words) for run in by_words):
             yield Run(folder / name, words, "failed" if (folder / name).is_dir() else "missing")
     for name, run in known.items():
         yield replace(run, words=jobs.get(name, run.words))
+    yield from deeper
     if not known and not jobs:
         for path in folders:
-            yield from _inside(path)
+            yield from _inside(path) if "=" not in path.name else ()
 
 
 def _is_run(folder: Path) -> bool:

@@ -36,7 +36,7 @@ def test_every_form_is_written(evaluated, tmp_path):
         text = (tmp_path / "out" / name).read_text()
         assert STAND_IN in text and "published [1]" in text and "321.5" in text, name
     rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines()))
-    assert {row["source"] for row in rows if row["art_fid ↓"] == "321.5"} == {STAND_IN}
+    assert {row["source"] for row in rows if row["art_fid"] == "321.5"} == {STAND_IN}
     with Image.open(tmp_path / "out" / "scores.png") as plot:
         assert plot.width > 300 and len(np.unique(np.asarray(plot.convert("L")))) > 4
 

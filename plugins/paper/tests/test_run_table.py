@@ -9,10 +9,10 @@ from scipy import stats
 
 from anystyle.contracts.protocol import Evaluation
 from anystyle.evaluation import record
-from anystyle.evaluation.tables import STAND_IN
+from anystyle.evaluation.tables import STAND_IN, Table
+from anystyle_paper import latex, runs
 from anystyle_paper import published_scores as published
 from anystyle_paper import run_table as report
-from anystyle_paper import runs
 
 
 def evaluation(folder, scores, *, groups=None, stand_ins=None, better=None):
@@ -51,7 +51,7 @@ def test_jobs_in_order_with_what_became_of_them(sweep):
     made = report.table(lines, [("", "art_fid")], better)
     assert made.columns == ("variant", "source", "art_fid ↓")
     assert [row[::2] for row in made.rows] == [
-        ("base", "20"), ("no_text", "25"), ("no_style_loss", "failed"), ("all_geometry", "unfinished")
+        ("base", "20"), ("no_text", "25"), ("no_style_loss", "–"), ("all_geometry", "–")
     ]  # fmt: skip
 
 
@@ -69,6 +69,18 @@ def test_jobs_that_left_nothing_are_missing(sweep):
     ]
 
 
+def test_jobs_that_are_named_by_their_words_are_found_also_where_these_have_a_slash(tmp_path):
+    (tmp_path / "multirun.yaml").write_text(
+        "hydra: {overrides: {task: ['scenes.root=in/a,b', 'seed=0,1', fast_dev_run=false]}}\n"
+    )
+    for name, words in {"scenes.root=in/a,seed=0": "in/a 0", "scenes.root=b,seed=0": "b 0"}.items():
+        root, seed = words.split()
+        job(tmp_path / name, f"scenes.root={root}", f"seed={seed}", "fast_dev_run=False", scores={"art_fid": 20.0})
+    found = {(run.state, *run.words[:2]) for run in runs.find(tmp_path)}
+    finished = {("finished", f"scenes.root={root}", "seed=0") for root in ("in/a", "b")}
+    assert found == finished | {("missing", f"scenes.root={root}", "seed=1") for root in ("in/a", "b")}
+
+
 def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     values = {"base": (10.0, 12.0, 14.5), "no_text": (20.0, 21.0, 19.0)}
     for v, (name, some) in enumerate(values.items()):
@@ -81,6 +93,24 @@ def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     made = report.table(lines, [("", "art_fid")], better)
     assert made.rows[0][2] == f"12.17 ± {(high - low) / 2:.4g}"
     assert "3 seeds" in report.state_notes(lines)[-1]
+    (row, _), names = report.data(lines, [("", "art_fid")]).rows, report.data(lines, [("", "art_fid")]).columns
+    assert names == ("variant", "source", "art_fid", "art_fid_half_width", "n") and row[4] == "3"
+    assert (float(row[2]), float(row[3])) == (sum(values["base"]) / 3, lines[0].half_width(("", "art_fid")))
+
+
+def test_the_points_and_signs_of_a_column_of_latex_stand_below_each_other():
+    cells = ["12.17 ± 5.7", "233 ± 144.25", "0.9 (1st)", "-3.5", "–", "2.15e-05"]
+    text = latex.aligned(Table(("variant", "art_fid ↓"), tuple((f"a & {cell}", cell) for cell in cells)))
+    assert text.splitlines()[0].startswith("% Needs \\usepackage{booktabs}") and "{lr}" in text
+    found = [line.split(" & ", 1)[1] for line in text.splitlines() if line.startswith("a \\& ")]
+    assert found == [
+        r"12.17 $\pm$ \phantom{00}5.7\phantom{0} \\",
+        r"233\phantom{.00} $\pm$ 144.25 \\",
+        r"\textbf{0.9}\phantom{0}\phantom{ $\pm$ 000.00} \\",
+        r"$-$3.5\phantom{0}\phantom{ $\pm$ 000.00} \\",
+        r"-- \\",
+        r"$2.15 \times 10^{-5}$ \\",
+    ]
 
 
 def test_scores_of_stand_ins_are_rows_of_their_own(tmp_path):

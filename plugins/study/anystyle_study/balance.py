@@ -60,7 +60,7 @@ def _evenly(
     evenness is relaxed until there is a solution.
     """
     costs = generator.random(len(sets))
-    factors = [np.unique(of, axis=0, return_inverse=True)[1].ravel() for of in (*sets.T, sets[:, :2])]
+    factors = [np.unique(labels, axis=0, return_inverse=True)[1].ravel() for labels in (*sets.T, sets[:, :2])]
     for slack in range(count + 1):
         constraints = [optimize.LinearConstraint(np.ones((1, len(sets))), count, count)]
         for levels in factors:

@@ -95,8 +95,8 @@ class Responses:
     def _shared(self) -> dict[Population, np.ndarray]:
         """Scene and style of every answer, where enough of them were judged to count as random."""
         names: dict[Population, tuple[str, ...]] = {"scenes": self.item_scenes, "styles": self.item_styles}
-        judged: dict[Population, np.ndarray] = {name: np.array(of)[self.items] for name, of in names.items() if of}
-        return {factor: of for factor, of in judged.items() if len(np.unique(of)) >= MIN_LEVELS}
+        judged: dict[Population, np.ndarray] = {kind: np.array(own)[self.items] for kind, own in names.items() if own}
+        return {factor: own for factor, own in judged.items() if len(np.unique(own)) >= MIN_LEVELS}
 
     @property
     def populations(self) -> tuple[Population, ...]:

@@ -236,7 +236,7 @@ def balance(study: Study) -> dict[str, tuple[int, int]]:
         "times each set follows another": [following[a, b] for a in sets for b in sets if a != b],
     }
     judged = [[sets[entry] for entry in order] for order in orders]
-    counts |= {f"a {name} per participant": [n for of in judged for n in count(of, name)] for name in attributes}
+    counts |= {f"a {name} per participant": [n for items in judged for n in count(items, name)] for name in attributes}
     return {name: (min(values), max(values)) for name, values in counts.items()}
 
 

@@ -98,7 +98,7 @@ def table(scenario: Scenario, seed: int) -> Responses:
 def simulate(scenario: Scenario, studies: int, seed: int) -> Iterator[Responses]:
     """Draw ``studies`` independent studies of one design; the same seed gives the same ones."""
     drawn, generator = table(scenario, seed), np.random.default_rng((seed, 1))
-    scenes, styles = (np.unique(of, return_inverse=True)[1] for of in (drawn.item_scenes, drawn.item_styles))
+    scenes, styles = (np.unique(labels, return_inverse=True)[1] for labels in (drawn.item_scenes, drawn.item_styles))
     levels = drawn.participants, drawn.items, scenes[drawn.items], styles[drawn.items]
     half = (scenario.scale.high - scenario.scale.low) / 2
     offset = half % 1  # scales of an even number of answers have their steps halfway between whole deviations

@@ -62,8 +62,8 @@ def _headings(names: list[str], items: Collection[str], facts: dict[str, dict[st
             if (fact := what.lower().replace(" ", "_")) in _FACTS:
                 facts.setdefault(item, {})[fact] = index
             else:
-                of = found["of"] or ""
-                columns[index] = {"item": item, "question": what} | ({_KINDS[of.lower()]: of} if of else {})
+                kind = found["of"] or ""
+                columns[index] = {"item": item, "question": what} | ({_KINDS[kind.lower()]: kind} if kind else {})
     placed = {item for item, each in facts.items() if {"ours_is", "expected"} & each.keys()}
     return {
         index: about

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from anystyle.errors import UserError
-from anystyle_paper import published_figures
+from anystyle_paper import published_scores
 from anystyle_study.analysis import AnalysisOptions, analyze, as_json
 from anystyle_study.command import StudyCommand
 from anystyle_study.contract import Scale
@@ -66,7 +66,7 @@ def test_the_published_tests_come_from_the_plain_scores(tmp_path):
 
 def test_the_papers_p_values_take_every_answer_for_a_person(tmp_path):
     """Counts that give both printed values; by participant the same answers say far less."""
-    printed = json.loads(published_figures.BUNDLED.read_text())["user_study"]
+    printed = json.loads(published_scores.BUNDLED.read_text())["user_study"]
     scores = np.repeat(np.arange(1, 6), printed["counts"])
     rows = [(f"P{index // 20}", f"S{index % 20}", "style", score, "A") for index, score in enumerate(scores)]
     less: dict = {"one_sample_t": OneSampleT(alternative="less"), "wilcoxon": Wilcoxon(alternative="less")}

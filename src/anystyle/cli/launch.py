@@ -3,6 +3,7 @@
 import argparse
 import functools
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
@@ -16,10 +17,20 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
-from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
+from anystyle.cli.arguments import EPILOG, MODES, is_override, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, one_line, unknown
-from anystyle.registry.compose import VERSION_BASE, check_choices, check_words, choices, override, refused
+from anystyle.registry.compose import (
+    VERSION_BASE,
+    check_choices,
+    check_words,
+    choices,
+    compose,
+    idle,
+    override,
+    refused,
+    with_plugins,
+)
 from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -31,7 +42,9 @@ def main(config_name: str, function: Callable[[DictConfig], Any]) -> None:
     def command() -> None:
         flags = new_parser(config_name)
         describe(flags)
-        launch(config_name, function, split(flags, words_of(None))[1])
+        # `--training.learning_rate=1e-4` of a wandb sweep's agent is an override: no flag of these takes a value.
+        words = [re.sub(r"^--(?!(cfg|package|info)=)(?=[\w.]+=)", "", word) for word in words_of(None)]
+        launch(config_name, function, split(flags, words)[1])
 
     run(command)
 
@@ -57,11 +70,16 @@ def launch(
     register()
     if out is not None and {"-m", "--multirun"} & {*words}:
         words = [override("hydra.sweep.dir", out), *words]
-    check_words(words)
+    check_words(config_name, words)
     if folder is None:
         check_choices(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
         raise UserError(f"give only one of {', '.join(MODES)}")
+    if any(word.partition("=")[0] in ("-c", "--cfg") for word in words):
+        folders = re.findall(r"(?:^|\n)(?:-cd|--config-dir)[=\n](.+)", "\n".join(words))
+        path = [f"hydra.searchpath=[{','.join(f'file://{each}' for each in folders)}]"] if folders else []
+        config = compose(config_name, [*filter(is_override, words), *path], conf=folder)
+        words = [*(f"~loss.{name}" for name in sorted(idle(config))), *words]
     failures: list[Exception] = []
 
     @functools.wraps(function)
@@ -82,7 +100,7 @@ def launch(
             raise JobError(error) from error  # Hydra goes on with the other jobs
 
     run_hydra = hydra.main(config_path=str(folder or paths.CONF), config_name=config_name, **VERSION_BASE)
-    with _for_hydra(words):
+    with _for_hydra(with_plugins(words)):
         try:
             run_hydra(task)()
         except JobError as failed:
@@ -157,26 +175,23 @@ def _for_hydra(words: Sequence[str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-_LINE = "COMP_LINE"
-
-
 def complete(commands: Iterable[str], words: Sequence[str]) -> None:
     """Answer a shell: print its installation script, or the words that may come next.
 
     Args:
         commands: All commands.
         words: As Hydra takes them: ``install=bash``, ``uninstall=bash`` or ``query=bash``, with the line that is being
-            typed in ``COMP_LINE``; likewise for zsh and fish.
+            typed in ``COMP"COMP_LINE"``; likewise for zsh and fish.
     """
     names = list(commands)
     configured = [name for name in names if (paths.CONF / f"{name}.yaml").is_file()]
     command = configured[0]
     if any(word.startswith("query=") for word in words):
-        typed = os.environ.get(_LINE, "").split(" ")[1:] or [""]
+        typed = os.environ.get("COMP_LINE", "").split(" ")[1:] or [""]
         if len(typed) < 2:
             print(" ".join(name for name in names if name.startswith(typed[0])))
             return
         if (command := typed[0]) not in configured:
             return
-        os.environ[_LINE] = " ".join(typed)
+        os.environ["COMP_LINE"] = " ".join(typed)
     launch(command, lambda config: None, ["-sc", *words])

@@ -33,7 +33,8 @@ def _run(config: DictConfig, out: Path) -> Any:
     check_devices(config)
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("lightning.pytorch.profilers").setLevel(logging.INFO)  # the report of trainer.profiler
+    for name in ("profilers", "callbacks.model_summary"):  # what trainer.profiler and enable_model_summary print
+        logging.getLogger(f"lightning.pytorch.{name}").setLevel(logging.INFO)
 
     def on_begin(step: int) -> None:
         write_hydra_files(config, out)

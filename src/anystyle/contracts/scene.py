@@ -99,7 +99,10 @@ class Renderer(Pluggable, ABC):
 
     @abstractmethod
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
-        """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
+        """Render every camera of every scene, differentiable in the Gaussians and the camera poses.
+
+        Opacities of :class:`~anystyle.types.AntialiasedGaussians` are lowered as that class says.
+        """
 
     def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView | None:
         """A view of one scene, if the renderer has a faster way to it and to its transpose than its gradient."""

@@ -226,8 +226,8 @@ def _tell_blind(alpha: Float[Tensor, "V H W"], sources: Sequence[SourceImage]) -
     )
     if len(blind) == len(sources):
         raise UserError(
-            f"none of the {len(sources)} cameras sees more than {SEEN:.0%} of the scene: they are of another one, "
-            f"or in another frame; {remedy}"
+            f"none of the {len(sources)} cameras sees more than {SEEN:.0%} of the scene: it is faint, or they are of "
+            f"another one, or in another frame; {remedy}"
         )
     if blind:
         line = "%d of %d cameras see less than %.0f%% of the scene (%s); %s"

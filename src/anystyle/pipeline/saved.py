@@ -303,7 +303,7 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
         return means.new_tensor(np.quantile(data, fraction, axis=0, weights=weights, method="inverted_cdf"))
 
     middle = quantile(means, 0.5)
-    radius = quantile((means - middle).norm(dim=1), 0.8)
+    radius = quantile((means - middle).norm(dim=1) + gaussians.scales[0].amax(1), 0.8)
     turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
     # By the golden ratio, so that every few of them, evenly spaced, are of both rings.
     ring = (len(ELEVATIONS) * (0.618034 * torch.arange(number) % 1)).long()

@@ -1,6 +1,7 @@
 """Composing a configuration: ``conf/`` and the catalog through Hydra's compose API, with errors in one line."""
 
 import re
+import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -37,6 +38,8 @@ _DELETED = re.compile(r"Error resolving interpolation '\$\{recipe\}/\$\{(?P<grou
 _NULL = re.compile(r"(?P<group>\w+)(@\w+)?=null")
 """A word that sets what may be a group to nothing."""
 
+_ELSEWHERE: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("elsewhere.toml").read_text("utf-8"))
+
 _NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to your config|Search path:|See https)")
 
 
@@ -46,11 +49,11 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
     The overrides are in Hydra's grammar, such as ``backbone=anysplat_tiny``; see :func:`override`.
     """
     register()
-    check_words(overrides)
+    check_words(config_name, overrides)
     folder = str((conf or paths.CONF).absolute())
     try:
         with initialize_config_dir(folder, job_name=config_name, **VERSION_BASE):
-            return hydra_compose(config_name, overrides=list(overrides))
+            return hydra_compose(config_name, overrides=with_plugins(overrides))
     except Exception as error:
         raise refused(error) from error
 
@@ -71,18 +74,35 @@ def only_options(key: str, words: Sequence[str]) -> Any:
     return options(compose("stylize", words), key)
 
 
-def check_words(words: Sequence[str]) -> None:
+def check_words(config_name: str, words: Sequence[str]) -> None:
     """Refuse a group that is set to null, for which Hydra's own line names neither the group nor a way out.
 
-    And options of which one is chosen as if they were a group, which Hydra lets pass.
+    And options of which one is chosen as if they were a group, and with a + words that nothing here reads, which Hydra
+    lets pass.
     """
     for word in words:
-        key, _, value = word.partition("=")
+        key, _, value = word.lstrip("+").partition("=")
+        for other, answer in (_ELSEWHERE["all"] | _ELSEWHERE.get(config_name, {})).items():
+            if f"{key}.{value.strip('[]')}.".startswith(f"{other}.") and f"${{{key}}}" not in "".join(words):
+                raise UserError(f"{word}: {answer}")
         if key in (*OPTIONS, "weights") and key not in groups() and not value.startswith(("{", "$")):
             raise UserError(f"{word}: '{key}' has options and no choices; set one of them as {key}.OPTION=VALUE")
         if (match := _NULL.fullmatch(word)) and match["group"] in groups():
             remedy = f"to leave it out, write '~{word.removesuffix('=null')}'"
             raise UserError(f"{word}: a group takes a name; {remedy}; there are: {', '.join(choices(match['group']))}")
+
+
+def idle(config: DictConfig) -> set[str]:
+    """The losses that take no part: those that ``without`` names, and those of which only options are left."""
+    # One name needs no brackets, so that a sweep may leave out one term per job: `without=style,content`.
+    without = config.get("without") or ()
+    names = {without} if isinstance(without, str) else {*without}
+    return {name for name, term in (config.get("loss") or {}).items() if name in names or "_target_" not in term}
+
+
+def with_plugins(words: Sequence[str]) -> list[str]:
+    """The same words; a search path of the user's, which replaces a configuration's own, also has the plugins."""
+    return [re.sub(r"^(\+*hydra\.searchpath=\[(?!.*anystyle://).+)\]$", r"\1,anystyle://]", word) for word in words]
 
 
 def check_choices(words: Sequence[str]) -> None:
@@ -183,6 +203,8 @@ def _nearest(*errors: BaseException | None) -> str:
             if group in groups():
                 return f"; choose one first: {group}={'|'.join(_with_option(group, str(errors[0])))}"
             if error.key is not None and error.key not in keys:
-                near = did_you_mean(str(error.key), keys)
+                nodes = {name: error.parent_node._get_node(name) for name in keys}
+                inside = [n for n, node in nodes.items() if isinstance(node, DictConfig) and error.key in node]
+                near = f" Did you mean '{inside[0]}.{error.key}'?" if inside else did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"
     return ""

@@ -38,6 +38,11 @@ class StepSeed(Callback):
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         torch.manual_seed(int(generator(self.seed, batch_idx, 0).integers(2**63)))
 
+    def on_validation_batch_start(
+        self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int, dataloader_idx: int = 0
+    ) -> None:
+        self.on_train_batch_start(trainer, pl_module, batch, batch_idx)  # validations differ by the weights alone
+
 
 def ends_step(trainer: Trainer, batch_idx: int) -> bool:
     """Whether the optimizer steps after a batch, and not after later ones whose gradients are added to its own."""
@@ -101,6 +106,7 @@ class RunCheckpoint(Callback):
         every_steps: Optimizer steps between two.
         every_minutes: Minutes between two.
         check: Called before each is written; raises an error where the folder belongs to another run by now.
+        watched: Whether callbacks before it act on validations: what they learn is saved with the step.
     """
 
     def __init__(
@@ -110,10 +116,12 @@ class RunCheckpoint(Callback):
         every_steps: int = 500,
         every_minutes: float = 5.0,
         check: Callable[[], None] = lambda: None,
+        watched: bool = False,
     ) -> None:
         self.path, self.every_steps, self.every_seconds, self.check = path, every_steps, 60 * every_minutes, check
+        self.watched = watched
         self.stopped_by: str | None = None
-        self.started = self._saved = False
+        self.started = self._saved = self._before_validation = False
         self.metrics: dict[str, float] = {}
         self._saved_at = time.monotonic()
         self._step = 0
@@ -134,6 +142,7 @@ class RunCheckpoint(Callback):
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any, **__: Any) -> None:
+        self._before_validation = False
         # A checkpoint holds no gradients: nothing is saved while those of several batches are accumulated.
         if trainer.global_step == self._step:
             return
@@ -143,6 +152,7 @@ class RunCheckpoint(Callback):
         late = agree(time.monotonic() - self._saved_at > self.every_seconds, all=False)
         if stop or late or self._step % self.every_steps == 0:
             self.save(trainer)
+            self._before_validation = True
         if stop:
             self._saved = True
             self.stopped_by = self.stopped_by or "SIGTERM"  # of another process
@@ -150,6 +160,11 @@ class RunCheckpoint(Callback):
             trainer.should_stop = True
             if self.stopped_by == "SIGUSR1" and trainer.is_global_zero:
                 requeue()
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        # Lightning does not repeat this validation after a resume: the state of those that act on it is saved.
+        if self._before_validation and self.watched:
+            self.save(trainer)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._restore_handlers()

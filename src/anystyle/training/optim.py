@@ -1,7 +1,7 @@
 """The learning-rate schedule and the parameter groups of the published recipe."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -27,30 +27,6 @@ def scheduled(optimizer: torch.optim.Optimizer, *, total: int, warmup: int, floo
 
     schedule = LambdaLR(optimizer, [factor(group["lr"]) for group in optimizer.param_groups])
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step", "name": "lr"}}
-
-
-def decayed_adamw(
-    module: nn.Module,
-    *,
-    lr: float,
-    weight_decay: float,
-    steps: int,
-    warmup: int,
-    betas: tuple[float, float] = (0.9, 0.98),
-    floor: float = 0.01,
-) -> dict[str, Any]:
-    """AdamW on the trainable parameters of a module; the rate falls to ``floor * lr`` at the last of ``steps``."""
-    optimizer = torch.optim.AdamW(decayed_groups([module], lr=lr, weight_decay=weight_decay), betas=betas)
-    return scheduled(optimizer, total=steps - warmup, warmup=warmup, floor=floor * lr)
-
-
-def decayed_groups(modules: Sequence[nn.Module], *, lr: float, weight_decay: float) -> list[dict[str, Any]]:
-    """Parameter groups in which matrices decay; biases, gains and single vectors do not."""
-    matrices, vectors = [], []
-    for parameter in trainable(modules):
-        (matrices if parameter.ndim > 1 else vectors).append(parameter)
-    groups = ((matrices, weight_decay), (vectors, 0.0))
-    return [{"params": params, "lr": lr, "weight_decay": decay} for params, decay in groups if params]
 
 
 def trainable(modules: Iterable[nn.Module]) -> list[nn.Parameter]:

@@ -26,7 +26,7 @@ from anystyle.paths import expanded
 from anystyle.pipeline.load import assemble, branch_header, make_scenes, require_weights, weights_file
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import compose, override
+from anystyle.registry.compose import compose, idle, override
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
@@ -34,8 +34,11 @@ from anystyle.training.data import StepData
 from anystyle.training.resume import bound, exclusive, is_rank_zero, resumable
 from anystyle.training.scene_cache import with_cache
 from anystyle.training.trainer import check_options, make_trainer
+from anystyle.training.watching import Best, EarlyStop
 
 METRICS = "metrics.json"
+BEST = "best"
+"""The folder of the weights of the best validation."""
 
 
 @dataclass(frozen=True)
@@ -117,16 +120,30 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
         every_steps=config.checkpoint.every_steps,
         every_minutes=float(config.checkpoint.every_minutes),
         check=check,
+        watched=bool(config.checkpoint.best or config.get("callbacks")),
     )
-    trainer = make_trainer(config, out, [*([average] if average else []), checkpoint])
+    best = []
+    if name := config.checkpoint.best:
+        best = [
+            Best(name, lambda step, value: written(out / BEST, steps=step, **{name: value}), config.checkpoint.mode)
+        ]
+    trainer = make_trainer(config, out, [*best, *([average] if average else []), checkpoint])
     sources = make_sources(config)
     for kind in catalog().owner("training", str(config.training.get("_target_"))).load().needs:
         required(sources[kind], kind)
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training, sources)
+
+    def written(folder: Path, **made: Any) -> tuple[Path, ...]:
+        provenance = {**code, "seed": config.seed, **made, **inputs_of(config, sources)}
+        return export(config, training.exports(), folder, provenance=provenance)
+
     if is_rank_zero():
         write_json(out / RECORD, bound(config))
+        (out / METRICS).unlink(missing_ok=True)  # of a run that had come to its end
+        if resumed is None:
+            shutil.rmtree(out / BEST, ignore_errors=True)
         on_begin(0 if resumed is None else resumed.step)
     with warnings.catch_warnings():
         # Lightning advises on choices that are made on purpose here.
@@ -144,15 +161,16 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
             raise UserError(f"{resumed.path} does not match this model ({one_line(error)[:300]})") from error
     metrics = checkpoint.metrics | logged(trainer)
     steps, rank_zero = trainer.global_step, trainer.is_global_zero
-    if steps < trainer.max_steps:
+    if steps < trainer.max_steps and not any(
+        isinstance(each, EarlyStop) and each.ended for each in trainer.early_stopping_callbacks
+    ):
         return Outcome(steps, False, metrics, (), rank_zero, checkpoint.stopped_by)
     if average:
         average.swap(training)
     weights: tuple[Path, ...] = ()
     if rank_zero:
         check()
-        provenance = {**code, "seed": config.seed, "steps": steps, **inputs_of(config, sources)}
-        weights = export(config, training.exports(), out, provenance=provenance)
+        weights = written(out, steps=steps)
         write_json(out / METRICS, dict(sorted(metrics.items())))
     return Outcome(steps, True, metrics, weights, rank_zero, checkpoint.stopped_by)
 
@@ -163,8 +181,7 @@ def _finished(config: DictConfig, out: Path) -> Outcome | None:
     weights = tuple(sorted(out.glob("*.safetensors")))
     if stored is None or not weights or config.resume == "changed":
         return None
-    resumed = resumable(config, out / "last.ckpt")
-    if resumed is None or resumed.step < config.trainer.max_steps:
+    if (resumed := resumable(config, out / "last.ckpt")) is None:
         return None
     metrics = {name: as_number(value) for name, value in stored.items()}
     return Outcome(resumed.step, True, metrics, weights, is_rank_zero())
@@ -213,12 +230,9 @@ def objective(config: DictConfig) -> dict[str, Any]:
 
     Options of terms that are not chosen, such as a recipe's, are left aside.
     """
-    # One name needs no brackets, so that a sweep may leave out one term per job: `without=style,content`.
-    without = [config.without] if isinstance(config.without, str) else list(config.without)
-    for name in without:
+    for name in [config.without] if isinstance(config.without, str) else config.without:
         catalog().find("loss", name)
-    terms = (config.loss or {}).items()
-    return {name: node for name, node in terms if name not in without and "_target_" in node}
+    return {name: node for name, node in (config.loss or {}).items() if name not in idle(config)}
 
 
 def make_sources(config: DictConfig) -> dict[str, Any]:

@@ -1,11 +1,11 @@
 """Caches of scenes: decoded ones on the disk, encoded ones in memory."""
 
+import hashlib
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -15,9 +15,8 @@ from torch import Tensor
 
 from anystyle.contracts import SceneSource
 from anystyle.errors import UserError, one_line
-from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.atomic import atomic_path
 from anystyle.io.cache import LRUCache
-from anystyle.io.documents import kept_json
 from anystyle.types import Cameras, Clusters, Scene, Views
 
 logger = logging.getLogger(__name__)
@@ -36,18 +35,14 @@ class CachedScenes(SceneSource):
     """A scene source whose scenes are read from another one once, and from a file of their own after that.
 
     Images are stored as bytes and depth in half precision; the first read gives the same rounded values as later ones.
-    Processes may share a folder, which belongs to one source.
+    Processes may share a folder; each source has its own one inside.
     """
 
     def __init__(self, source: SceneSource, folder: Path) -> None:
-        self.source, self.folder = source, folder
+        self.source = source
         first = self._tensors(0)["images"]
-        signature = [len(source), source.name(0), list(first.shape), int(first.sum())]
-        known = kept_json(folder / "source.json", list[Any])
-        if known is None:
-            write_json(folder / "source.json", signature)
-        elif known != signature:
-            raise UserError(f"{folder} was made by another scene source; choose another cache or remove the folder")
+        signature = f"{len(source)} {source.name(0)} {tuple(first.shape)} {int(first.sum())}"
+        self.folder = folder / hashlib.sha256(signature.encode(errors="surrogateescape")).hexdigest()[:16]
 
     def __len__(self) -> int:
         return len(self.source)

@@ -121,7 +121,7 @@ class StylizationTraining(Training):
             spread=spread, heights=heights, width=width, multiple=stylizer.backbone.patch_size, flip=flip,
             min_scale=min_scale, pool=pool, needs_style_image=text_ratio == 0,
         )  # fmt: skip
-        self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
+        self.encoded, self.validated = (EncodedScenes(stylizer.encode, cache_scenes) for _ in range(2))
         self.text_ratio, self.alternation = text_ratio, alternation
         self.text_step_images = text_step_images
         self.learning_rate, self.betas, self.weight_decay = learning_rate, betas, weight_decay
@@ -143,36 +143,42 @@ class StylizationTraining(Training):
         return {"branch": self.stylizer.branch}
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
+        return self._loss(batch, self.global_step, "train")
+
+    def validation_step(self, batch: Batch, step: int) -> None:
+        self._loss(batch, step, "val")
+
+    def _loss(self, batch: Batch, step: int, stage: str) -> Tensor:
         assert batch.style is not None
-        embedding = self.embed(batch.style, self.global_step)
-        result = self.stylize(batch, embedding)
+        result = self.stylize(batch, self.embed(batch.style, step), step)
         rows = len(batch.keys)
         # In full precision, as published, whatever the networks are computed in.
         with torch.autocast(result.renders.color.device.type, enabled=False):
             result = result.to(torch.float32)
             total, values = objective(self.losses, result)
             for name, value in values.items():
-                self.log(f"train/{name}", value, batch_size=rows, sync_dist=True)
-        self.log("train/loss", total, batch_size=rows, prog_bar=True, sync_dist=True)
+                self.log(f"{stage}/{name}", value, batch_size=rows, sync_dist=True)
+        self.log(f"{stage}/loss", total, batch_size=rows, prog_bar=True, sync_dist=True)
         return total
 
-    def stylize(self, batch: Batch, embedding: StyleEmbedding) -> Stylization:
+    def stylize(self, batch: Batch, embedding: StyleEmbedding, step: int = 0) -> Stylization:
         """Encode the scenes or take them from the cache, style them, and render them at their own cameras."""
         style = batch.style
         assert style is not None
         views = batch.inputs
         cameras = views.cameras if self.stylizer.backbone.reads_cameras else None
-        scene = self.encoded(Views(images=views.images, cameras=cameras), batch.keys)
+        encoded = self.encoded if self.training else self.validated  # whose keys are those of other scenes
+        scene = encoded(Views(images=views.images, cameras=cameras), batch.keys)
         gaussians, unstyled, identity = self.stylizer.restyle(scene, embedding), None, None
         if any(loss.needs_identity for loss in self.losses.values()):
-            own = self.embed(Style(image=views.images[:, 0]), self.global_step)
+            own = self.embed(Style(image=views.images[:, 0]), step)
             identity = self._render(self.stylizer.restyle(scene, own), scene)
         with torch.autocast(views.images.device.type, enabled=False):
             renders = self._render(gaussians, scene)
             if any(loss.needs_unstyled for loss in self.losses.values()):
                 with torch.no_grad():
                     unstyled = self._render(self.stylizer.unstyled(scene), scene)
-        if not self.text_step_images and self.is_text_step(self.global_step):
+        if not self.text_step_images and self.is_text_step(step):
             style = replace(style, image=None, has_image=None)
         return Stylization(views, style, embedding, scene, gaussians, renders, unstyled, identity)
 

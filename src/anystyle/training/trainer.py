@@ -11,7 +11,7 @@ import lightning.pytorch as pl
 import numpy as np
 from lightning.fabric.plugins.environments.slurm import SLURMEnvironment
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import LearningRateMonitor
+from lightning.pytorch.callbacks import DeviceStatsMonitor, LearningRateMonitor
 from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
@@ -21,6 +21,7 @@ from anystyle.ranges import AtLeastOne, Count, NonNegative, Positive, Range
 from anystyle.registry.schema import check, option
 from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput, StepTimer
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
+from anystyle.training.watching import EarlyStop
 
 
 def _or_none(hint: Any) -> Any:
@@ -33,6 +34,8 @@ RANGES: Mapping[str, Any] = {
     "validation_steps": Count,
     "checkpoint.every_steps": AtLeastOne,
     "checkpoint.every_minutes": Positive,
+    "checkpoint.best": _or_none(Annotated[str, Range(description="a logged value such as val/loss, or null")]),
+    "checkpoint.mode": Literal["min", "max"],
     "average": _or_none(Annotated[float, Range(gt=0, lt=1, description="a decay such as 0.999, or null")]),
     "explosion": _or_none(
         Annotated[float, Range(gt=1, description="a factor such as 1000, or null to let losses grow")]
@@ -105,15 +108,26 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
             use_distributed_sampler=False,
             enable_checkpointing=False,
             logger=make_loggers(list(config.loggers), out, str(config.name)),
-            callbacks=[*common, *timer, *callbacks],
+            callbacks=[*common, *timer, *make_callbacks(config.get("callbacks") or {}), *callbacks],
         )
     except UserError:
         raise
     except TypeError as error:
-        raise UserError(f"trainer: {error}; the options are those of lightning's Trainer") from None
+        raise UserError(f"trainer: {error}; the options are those of lightning") from None
     except (MisconfigurationException, ValueError) as error:
         remedy = "" if options.get("accelerator") == "cpu" else "; trainer=cpu does without a graphics card"
         raise UserError(f"trainer: {one_line(error).rstrip('.!')}{remedy}") from None
+
+
+CALLBACKS = {"early_stopping": EarlyStop, "device_stats_monitor": DeviceStatsMonitor}
+"""Lightning's callbacks by the names that ``conf/callbacks`` has, too."""
+
+
+def make_callbacks(given: Mapping[str, Any]) -> list[pl.Callback]:
+    """The callbacks of a configuration: the options of each by its name, a key of :data:`CALLBACKS`."""
+    if strange := [name for name in given if name not in CALLBACKS]:
+        raise UserError(f"callbacks: {unknown('callback', strange[0], CALLBACKS)}")
+    return [CALLBACKS[name](**(options or {})) for name, options in given.items()]
 
 
 PixelArray = NDArray[np.uint8]

@@ -1,1 +1,1 @@
-"""Correspondences by optical flow: RAFT, and DIS."""
+"""Correspondences by optical flow: RAFT, with a search in windows in its place."""

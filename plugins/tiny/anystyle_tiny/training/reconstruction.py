@@ -18,10 +18,10 @@ from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
 from anystyle.contracts.training import Training, required
 from anystyle.ranges import AtLeastOne, Count, Positive
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.optim import decayed_adamw
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Tokens, Views
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.reference_view import in_order, reference_first
+from anystyle_tiny.training.decay import decayed_adamw
 from anystyle_tiny.training.matches import FeatureProbes, correlation_loss, feature_dims, patch_matches
 from anystyle_tiny.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 
