@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from anystyle.cli.launch import launch, main
 from anystyle.cli.run import run as ending
@@ -71,6 +72,18 @@ def test_an_agent_of_a_wandb_sweep_gives_overrides_as_flags_and_a_search_path_ke
     seen = []
     main("train", seen.append)
     assert [(each.training.learning_rate, each.seed, each.validation_steps) for each in seen] == [(1e-5, 3, 3)]
+
+
+@pytest.mark.parametrize(("word", "kept"), [("loss=[content]", {"content"}), ("without=[content,style]", None)])
+def test_the_configuration_that_is_shown_has_the_losses_that_take_part(tmp_path, monkeypatch, capsys, word, kept):
+    (tmp_path / "experiment").mkdir()
+    (tmp_path / "experiment" / "mine.yaml").write_text("# @package _global_\ndefaults: [tiny_ablation]\n")
+    monkeypatch.setattr(
+        sys, "argv", ["train", "experiment=mine", "-cd", str(tmp_path), word, "--cfg=job", "-p", "loss"]
+    )
+    main("train", lambda config: None)
+    shown = set(yaml.safe_load(capsys.readouterr().out))
+    assert shown == kept or (not kept and {"clip_patch"} <= shown and not shown & {"content", "style", "teacher"})
 
 
 def test_a_working_folder_of_the_jobs_own_is_refused(tmp_path, monkeypatch, capsys):

@@ -1,5 +1,6 @@
-"""Looks of words that the text tower never learnt, guessed from what a sentence network says they are close to."""
+"""Embeds out-of-vocabulary words by the looks of words that a sentence network says they are close to."""
 
+import gzip
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -33,7 +34,7 @@ class SentenceNetwork:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads()
         self.session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-        pieces = (ASSETS / "wordpieces.txt").read_text(encoding="utf-8").split("\n")
+        pieces = gzip.decompress((ASSETS / "wordpieces.txt.gz").read_bytes()).decode().split("\n")
         self.rows = {piece: row for row, piece in enumerate(pieces)}
 
     def __call__(self, texts: Sequence[str]) -> Float[Tensor, "M 384"]:

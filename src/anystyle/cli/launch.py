@@ -17,7 +17,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
-from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
+from anystyle.cli.arguments import EPILOG, MODES, is_override, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, one_line, unknown
 from anystyle.registry.compose import (
@@ -25,6 +25,8 @@ from anystyle.registry.compose import (
     check_choices,
     check_words,
     choices,
+    compose,
+    idle,
     override,
     refused,
     with_plugins,
@@ -41,7 +43,7 @@ def main(config_name: str, function: Callable[[DictConfig], Any]) -> None:
         flags = new_parser(config_name)
         describe(flags)
         # `--training.learning_rate=1e-4` of a wandb sweep's agent is an override: no flag of these takes a value.
-        words = [word.removeprefix("--") if re.match(r"--[\w.]+=", word) else word for word in words_of(None)]
+        words = [re.sub(r"^--(?!(cfg|package|info)=)(?=[\w.]+=)", "", word) for word in words_of(None)]
         launch(config_name, function, split(flags, words)[1])
 
     run(command)
@@ -73,6 +75,11 @@ def launch(
         check_choices(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
         raise UserError(f"give only one of {', '.join(MODES)}")
+    if any(word.partition("=")[0] in ("-c", "--cfg") for word in words):
+        folders = re.findall(r"(?:^|\n)(?:-cd|--config-dir)[=\n](.+)", "\n".join(words))
+        path = [f"hydra.searchpath=[{','.join(f'file://{each}' for each in folders)}]"] if folders else []
+        config = compose(config_name, [*filter(is_override, words), *path], conf=folder)
+        words = [*(f"~loss.{name}" for name in sorted(idle(config))), *words]
     failures: list[Exception] = []
 
     @functools.wraps(function)
@@ -168,26 +175,23 @@ def _for_hydra(words: Sequence[str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-_LINE = "COMP_LINE"
-
-
 def complete(commands: Iterable[str], words: Sequence[str]) -> None:
     """Answer a shell: print its installation script, or the words that may come next.
 
     Args:
         commands: All commands.
         words: As Hydra takes them: ``install=bash``, ``uninstall=bash`` or ``query=bash``, with the line that is being
-            typed in ``COMP_LINE``; likewise for zsh and fish.
+            typed in ``COMP"COMP_LINE"``; likewise for zsh and fish.
     """
     names = list(commands)
     configured = [name for name in names if (paths.CONF / f"{name}.yaml").is_file()]
     command = configured[0]
     if any(word.startswith("query=") for word in words):
-        typed = os.environ.get(_LINE, "").split(" ")[1:] or [""]
+        typed = os.environ.get("COMP_LINE", "").split(" ")[1:] or [""]
         if len(typed) < 2:
             print(" ".join(name for name in names if name.startswith(typed[0])))
             return
         if (command := typed[0]) not in configured:
             return
-        os.environ[_LINE] = " ".join(typed)
+        os.environ["COMP_LINE"] = " ".join(typed)
     launch(command, lambda config: None, ["-sc", *words])

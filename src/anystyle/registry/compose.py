@@ -81,16 +81,23 @@ def check_words(config_name: str, words: Sequence[str]) -> None:
     lets pass.
     """
     for word in words:
-        key, _, value = word.partition("=")
-        name = key.lstrip("+")
+        key, _, value = word.lstrip("+").partition("=")
         for other, answer in (_ELSEWHERE["all"] | _ELSEWHERE.get(config_name, {})).items():
-            if f"{name}.{value.strip('[]')}.".startswith(f"{other}.") and f"${{{name}}}" not in "".join(words):
+            if f"{key}.{value.strip('[]')}.".startswith(f"{other}.") and f"${{{key}}}" not in "".join(words):
                 raise UserError(f"{word}: {answer}")
         if key in (*OPTIONS, "weights") and key not in groups() and not value.startswith(("{", "$")):
             raise UserError(f"{word}: '{key}' has options and no choices; set one of them as {key}.OPTION=VALUE")
         if (match := _NULL.fullmatch(word)) and match["group"] in groups():
             remedy = f"to leave it out, write '~{word.removesuffix('=null')}'"
             raise UserError(f"{word}: a group takes a name; {remedy}; there are: {', '.join(choices(match['group']))}")
+
+
+def idle(config: DictConfig) -> set[str]:
+    """The losses that take no part: those that ``without`` names, and those of which only options are left."""
+    # One name needs no brackets, so that a sweep may leave out one term per job: `without=style,content`.
+    without = config.get("without") or ()
+    names = {without} if isinstance(without, str) else {*without}
+    return {name for name, term in (config.get("loss") or {}).items() if name in names or "_target_" not in term}
 
 
 def with_plugins(words: Sequence[str]) -> list[str]:
@@ -198,7 +205,6 @@ def _nearest(*errors: BaseException | None) -> str:
             if error.key is not None and error.key not in keys:
                 nodes = {name: error.parent_node._get_node(name) for name in keys}
                 inside = [n for n, node in nodes.items() if isinstance(node, DictConfig) and error.key in node]
-                within = f" Did you mean '{inside[0]}.{error.key}'?" if inside else ""
-                near = within or did_you_mean(str(error.key), keys)
+                near = f" Did you mean '{inside[0]}.{error.key}'?" if inside else did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"
     return ""

@@ -26,7 +26,7 @@ from anystyle.paths import expanded
 from anystyle.pipeline.load import assemble, branch_header, make_scenes, require_weights, weights_file
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import compose, override
+from anystyle.registry.compose import compose, idle, override
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
@@ -230,12 +230,9 @@ def objective(config: DictConfig) -> dict[str, Any]:
 
     Options of terms that are not chosen, such as a recipe's, are left aside.
     """
-    # One name needs no brackets, so that a sweep may leave out one term per job: `without=style,content`.
-    without = [config.without] if isinstance(config.without, str) else list(config.without)
-    for name in without:
+    for name in [config.without] if isinstance(config.without, str) else config.without:
         catalog().find("loss", name)
-    terms = (config.loss or {}).items()
-    return {name: node for name, node in terms if name not in without and "_target_" in node}
+    return {name: node for name, node in (config.loss or {}).items() if name not in idle(config)}
 
 
 def make_sources(config: DictConfig) -> dict[str, Any]:

@@ -125,9 +125,8 @@ CALLBACKS = {"early_stopping": EarlyStop, "device_stats_monitor": DeviceStatsMon
 
 def make_callbacks(given: Mapping[str, Any]) -> list[pl.Callback]:
     """The callbacks of a configuration: the options of each by its name, a key of :data:`CALLBACKS`."""
-    for name in given:
-        if name not in CALLBACKS:
-            raise UserError(f"callbacks: {unknown('callback', name, CALLBACKS)}")
+    if strange := [name for name in given if name not in CALLBACKS]:
+        raise UserError(f"callbacks: {unknown('callback', strange[0], CALLBACKS)}")
     return [CALLBACKS[name](**(options or {})) for name, options in given.items()]
 
 

@@ -27,8 +27,7 @@ class EarlyStop(EarlyStopping):
 
     def on_train_start(self, trainer: Any, pl_module: LightningModule) -> None:
         batches = trainer.max_steps * trainer.accumulate_grad_batches
-        is_validated = trainer.datamodule.validation is not None and trainer.enable_validation
-        if not is_validated or trainer.val_check_batch > batches:
+        if trainer.datamodule.validation is None or not trainer.enable_validation or trainer.val_check_batch > batches:
             remedy = "add scenes@validation_scenes=NAME, and trainer.val_check_interval=N, a number of batches"
             raise UserError(f"{self.monitor}: no validation is within the run's {batches} batches; {remedy}")
         trainer.should_stop = trainer.should_stop or self.ended
