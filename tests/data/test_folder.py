@@ -7,6 +7,7 @@ import torch
 from PIL import Image
 
 from anystyle.data.folder import cover, read_views, tell_of_cut
+from anystyle.data.images import SUFFIXES
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
 from anystyle.types import SourceImage
@@ -101,7 +102,8 @@ def test_equal_names_are_told_apart(tmp_path):
         (tmp_path / folder).mkdir()
         save(tmp_path / folder / "1.png")
     save(tmp_path / "b" / "1.jpg")
-    assert read(tmp_path / "a", tmp_path / "b")[0].names == ("a_1", "b_1", "b_1_2")
+    files = [tmp_path / name for name in ("a/1.png", "b/1.png", "b/1.jpg")]
+    assert read(*files)[0].names == ("a_1", "b_1", "b_1_2")
 
 
 def test_folders_in_a_folder_are_read(tmp_path, caplog):
@@ -256,13 +258,17 @@ def test_a_photograph_of_nearly_the_same_aspect_fills_its_view():
         (["0001", "0002"], ["0001.mask", "0002_masks", "mask_0001"]),
         (["frame-000000.color", "frame-000001.color"], ["frame-000000.depth", "frame-000001.depth"]),
         (["rgb_0", "rgb_1"], ["depth_0", "depth_1", "seg_0"]),
+        (["0001.png", "0002.png"], ["0001.png.png", "0002.png.png"]),
+        (["0001.jpg"], ["0001.jpg.png", "0001.png", "0001.avif", "0001.tif"]),
+        (["Image0001", "Image0002"], ["Depth0001", "Normal0002", "Image0001Mask"]),
+        (["frame_00001"], ["mask_00001", "frame_00001_matte", "00001_albedo", "00001_confidence", "00001Depth"]),
         (["IMG_1", "mask of a lion", "depths of winter"], []),
         (["a_mask_1", "a_mask_2"], []),
     ],
 )
 def test_maps_of_photographs_are_no_photographs(tmp_path, caplog, photographs, others):
     for name in [*photographs, *others]:
-        save(tmp_path / f"{name}.png")
+        save(tmp_path / (name if f".{name.rpartition('.')[2]}" in SUFFIXES else f"{name}.png"))
     views, _ = read(tmp_path)
     assert views.images.shape[1] == len(photographs)
     count = f"{len(others)} of {len(photographs) + len(others)} images in"
@@ -270,7 +276,7 @@ def test_maps_of_photographs_are_no_photographs(tmp_path, caplog, photographs, o
 
 
 def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
-    for name in ("photos/a.png", "photos/b.png", "photos/@eaDir/a.png", "__MACOSX/photos/a.png"):
+    for name in ("photos/a.png", "photos/b.png", "photos/@eaDir/a.png", "__MACOSX/photos/a.png", "sam_masks/a.png"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         save(tmp_path / name)
     (tmp_path / "photos" / "._a.png").write_bytes(b"resource fork")
@@ -287,11 +293,25 @@ def test_a_folder_of_one_film_is_that_film(tmp_path):
         read(tmp_path)
 
 
+def test_a_film_beside_images(tmp_path, caplog):
+    write_video([torch.full((3, 48, 64), shade) for shade in (0.2, 0.5, 0.8)], tmp_path / "MVI_0001.MP4")
+    save(tmp_path / "MVI_0001.JPG")  # its thumbnail
+    assert read(tmp_path)[0].images.shape[1] == 3 and caplog.text == ""
+    save(tmp_path / "IMG_0002.JPG")
+    (tmp_path / "MVI_0001.JPG").unlink()
+    assert read(tmp_path)[0].images.shape[1] == 1
+    assert "has photographs; the films in it are left out: MVI_0001.MP4" in caplog.text
+
+
 def test_photographs_that_are_not_developed_are_named(tmp_path, caplog):
     for name in ("a.DNG", "b.cr3"):
         (tmp_path / name).write_bytes(b"raw")
     with pytest.raises(ValueError, match=r"the 2 photographs .* are not developed \(CR3, DNG\); save them as JPEG"):
         read(tmp_path)
+    with pytest.raises(ValueError, match=r"there are no images in the folder .*; its files are INSP"):
+        (tmp_path / "360").mkdir()
+        (tmp_path / "360" / "IMG_1.insp").write_bytes(b"two circles")
+        read(tmp_path / "360")
     save(tmp_path / "a.jpg")
     assert read(tmp_path)[0].images.shape[1] == 1
     assert "1 photographs in" in caplog.text and "(CR3)" in caplog.text
@@ -305,3 +325,4 @@ def test_panoramas_are_no_photographs(tmp_path, caplog):
     assert views.names == ("plain",)
     assert "sphere.jpg is a panorama (equirectangular)" in caplog.text
     assert "phone.jpg is a panorama (cylindrical)" in caplog.text
+    assert "all photographs are twice as wide as high, as 360° cameras take them" in caplog.text

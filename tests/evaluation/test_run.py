@@ -1,6 +1,7 @@
 """`anystyle.evaluate`, and the lines that a command prints of its progress."""
 
 import math
+import re
 
 import pytest
 import torch
@@ -57,6 +58,10 @@ def test_scores_are_not_lost_nor_judged_by_luck(tmp_path):
     for number in range(3, 9):
         (stylized / "one" / f"a_{number}.png").unlink()
     with pytest.raises(UserError, match="3 of 9 views of one are numbered 0 to 2: these may be the first"):
+        judged("metric=[psnr,color_match,timing]", "missing=allow")
+    for path in [*(content / "one").iterdir(), *(stylized / "one").iterdir()]:
+        path.rename(path.with_stem(re.sub(r"\d+", lambda number: f"IMG_{int(number[0]) + 1:04d}", path.stem)))
+    with pytest.raises(UserError, match="3 of 9 views of one are numbered 1 to 3: these may be the first"):
         judged("metric=[psnr,color_match,timing]", "missing=allow")
 
 

@@ -76,18 +76,18 @@ def _with_people(names: list[str], source: str) -> list[str]:
 
 
 def _answers(names: list[str], rows: list[list[str]], source: str) -> list[int]:
-    """The rows that participants gave: not Qualtrics' texts of questions, import ids and previews."""
+    """The rows that participants gave: not Qualtrics' texts of questions, import ids, previews and spam."""
     ids = [index for index, row in enumerate(rows[:2]) if any(cell.startswith('{"ImportId":') for cell in row)]
     first = ids[0] + 1 if ids else 0
     if ids:
         log.warning("%s: rows 2 to %d, Qualtrics' texts and import ids, are left out", source, first + 1)
     kinds = [index for index, name in enumerate(names) if plain_name(name) in ("status", "response_type")]
-    tried = {"survey preview", "survey test", *(("1", "2") if ids else ())}
+    tried = {"survey preview", "survey test", "spam", *(("1", "2", "8") if ids else ())}
     answers = [
         index for index in range(first, len(rows)) if not any(rows[index][column].lower() in tried for column in kinds)
     ]
     if previews := len(rows) - first - len(answers):
-        log.warning("%s: %d previews of the survey are left out", source, previews)
+        log.warning("%s: %d previews of the survey are left out, or what Qualtrics takes for spam", source, previews)
     return answers
 
 

@@ -1,4 +1,4 @@
-"""Who answered: names in several spellings, and people of one name in several files or sessions."""
+"""Who answered what: names in several spellings, and people of one name in several files or sessions."""
 
 import logging
 import math
@@ -14,19 +14,20 @@ log = logging.getLogger(__name__)
 
 
 def check_names(answers: Sequence[Answer]) -> None:
-    """Refuse people whose names differ in spelling alone: they would count as more than they are."""
-    spelt: dict[str, set[str]] = {}
-    for name in {answer.participant for answer in answers}:
-        text = re.sub(r"[\s\u200b-\u200f\u2060\ufeff]", "", unicodedata.normalize("NFKC", name).casefold())
-        text = re.sub(r"(?<!\d)[-_]|[-_](?!\d)", "", text)  # P-01 is P01, and P01-2 is not P012
-        text = re.sub(r"^(\d+)\.0+$", r"\1", text)  # a number of a column with gaps
-        spelt.setdefault(re.sub(r"(?<!\d)0+(?=\d)", "", text), set()).add(name)
-    if found := sorted(sorted(names) for names in spelt.values() if len(names) > 1):
-        more = f" (and {len(found) - 1} more such names)" if len(found) > 1 else ""
-        raise UserError(
-            f"people are named {' and '.join(map(repr, found[0]))}{more}, which differ in case, blanks, dashes or "
-            "zeros alone; give each person one name"
-        )
+    """Refuse people, sets and questions whose names differ in spelling alone: each would count as several."""
+    for what, field in (("people", "participant"), ("sets", "item"), ("questions", "question")):
+        spelt: dict[str, set[str]] = {}
+        for name in {getattr(answer, field) for answer in answers}:
+            text = re.sub(r"[\s\u200b-\u200f\u2060\ufeff]", "", unicodedata.normalize("NFKC", name).casefold())
+            text = re.sub(r"(?<!\d)[-_.]|[-_.](?!\d)", "", text)  # P-01 is P01, and P01-2 is not P012
+            text = re.sub(r"^(\d+)\.0+$", r"\1", text)  # a number of a column with gaps
+            spelt.setdefault(re.sub(r"(?<!\d)0+(?=\d)", "", text), set()).add(name)
+        if found := sorted(sorted(names) for names in spelt.values() if len(names) > 1):
+            more = f" (and {len(found) - 1} more such names)" if len(found) > 1 else ""
+            raise UserError(
+                f"{what} are named {' and '.join(map(repr, found[0]))}{more}, which differ in case, blanks, dashes, "
+                f"dots or zeros alone; give each {field} one name"
+            )
 
 
 def check_sources(answers: Sequence[Answer]) -> None:
@@ -47,6 +48,7 @@ def check_sources(answers: Sequence[Answer]) -> None:
             f"{some(where, ' and ')} differently: add --sessions if they are different people, or leave one of their "
             "answers out"
         )
+    _check_twice(answers)
     if several := {name for name, sources in places.items() if len(sources) > 1}:
         where = {source for name in several for source in places[name]}
         told = "%s are in %s, and count as the same people; add --sessions if they are different ones"
@@ -60,3 +62,17 @@ def some(names: Collection[str], last: str = ", ") -> str:
         return f"{', '.join(first)} and {others} others"
     *most, end = first
     return f"{', '.join(most)}{last}{end}" if most else end
+
+
+def _check_twice(answers: Sequence[Answer]) -> None:
+    """Refuse a table in which most people gave two answers to a question: those of several sessions, maybe."""
+    given: dict[tuple[str, ...], set[tuple[float, bool]]] = {}
+    for answer in answers:
+        if not math.isnan(answer.score):
+            given.setdefault(answer.cell, set()).add(answer.given)
+    twice = {cell[0] for cell, found in given.items() if len(found) > 1}
+    if 1 < len(twice) > len({cell[0] for cell in given}) / 2:
+        raise UserError(
+            f"{some(twice)} gave two different answers to one question: if they are people of several sessions, call "
+            "the column that tells these apart session and add --sessions; otherwise leave one of their answers out"
+        )

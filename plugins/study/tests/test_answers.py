@@ -316,3 +316,11 @@ def test_answers_on_one_side_only_are_noted(tmp_path):
     rows = [(*row[:4], "A") for row in answer_rows()]
     checks, _ = judged(write_csv(tmp_path / "r.csv", rows))
     assert "always shown as A" in checks.notes[0]
+
+
+def test_answers_of_a_shorter_scale_are_noted(tmp_path):
+    rows = [(*row[:3], 1 + row[3] % 2, "AB"[place % 2]) for place, row in enumerate(answer_rows())]
+    checks, _ = judged(write_csv(tmp_path / "r.csv", rows))
+    assert checks.notes[0].startswith("All answers to style are 1 to 2, on one half of the scale of 1 to 5")
+    checks, _ = judged(write_csv(tmp_path / "r.csv", rows), scale=Scale(1.0, 2.0))
+    assert not any("one half" in note for note in checks.notes)

@@ -104,20 +104,35 @@ def test_a_person_who_answers_twice_is_told_with_numbers_and_a_blank_is_no_answe
     "names",
     [
         *(("P01", "p01 ", "P01\u00a0"), ("5F3A", "5f3a", "5f3a "), ("P1", "P01", "P001"), ("7", "7.0", "07")),
-        *(("P 01", "P-01", "P_01"), ("Zoe\u0301", "Zo\u00e9", "ZO\u00c9")),
+        *(("P 01", "P-01", "P_01"), ("P1", "P.1", "P1."), ("Zoe\u0301", "Zo\u00e9", "ZO\u00c9")),
         *(("anna lee", "Anna  Lee", "anna\u00a0lee"), ("an\u200bna", "anna", "anna")),
     ],
 )
 def test_spellings_of_one_person_are_refused_with_both_names(tmp_path, names):
     rows = session(True)
     rows = [(names[place % 3] if row[0] == 1 else f"Q{row[0]}", *row[1:]) for place, row in enumerate(rows)]
-    with pytest.raises(UserError, match="differ in case, blanks, dashes or zeros alone") as refused:
+    with pytest.raises(UserError, match="differ in case, blanks, dashes, dots or zeros alone") as refused:
         read_responses([write_csv(tmp_path / "r.csv", rows)])
     assert repr(names[0].strip()) in str(refused.value)
 
 
+def test_spellings_of_one_set_or_question_are_refused(tmp_path):
+    for column, what in ((1, "sets are named 'S2' and 's 2'"), (2, "questions are named 'Style' and 'style'")):
+        rows = [list(row) for row in session(True)]
+        rows[1][column] = {1: "s 2", 2: "Style"}[column]
+        with pytest.raises(UserError, match=what):
+            read_responses([write_csv(tmp_path / "r.csv", rows)])
+
+
+def test_two_sessions_in_one_table_without_a_column_for_them_are_refused(tmp_path):
+    path = write_csv(tmp_path / "all.csv", [*session(True), *session(False)])
+    with pytest.raises(UserError, match=r"1, 2, 3 and 3 others gave two different answers .* session and add --sessio"):
+        read_responses([path])
+
+
 def test_names_that_are_only_alike_are_not_spellings(tmp_path):
-    rows = [(name, *row[1:]) for name, row in zip(itertools.cycle(["P01", "P10", "P01-2", "P012"]), session(True))]
+    names = itertools.cycle(["P01", "P10", "P01-2", "P012"])
+    rows = [(name, f"{row[1]} of {row[0]}", *row[2:]) for name, row in zip(names, session(True), strict=False)]
     assert len({answer.participant for answer in read_responses([write_csv(tmp_path / "r.csv", rows)]).answers}) == 4
 
 
@@ -132,7 +147,9 @@ IDS = (
 
 
 @pytest.mark.parametrize("header", [(TEXTS, IDS), ()])
-@pytest.mark.parametrize(("real", "preview"), [("IP Address", "Survey Preview"), ("0", "1")])
+@pytest.mark.parametrize(
+    ("real", "preview"), [("IP Address", "Survey Preview"), ("0", "1"), ("IP Address", "Spam"), ("0", "8")]
+)
 def test_the_export_of_qualtrics_is_read(tmp_path, caplog, header, real, preview):
     names = ("StartDate", "Status", "PROLIFIC_PID", "S1_style", "S1_ours_is")
     people = [("2026-03-01", real, f"5f{number:022d}", 1 + number % 3, "A") for number in range(8)]
@@ -140,7 +157,7 @@ def test_the_export_of_qualtrics_is_read(tmp_path, caplog, header, real, preview
     with (tmp_path / "q.csv").open("w", newline="", encoding="utf-8-sig") as file:
         csv.writer(file).writerows([names, *header, *people, *tried])
     records = read_responses([tmp_path / "q.csv"], wide=True)
-    left_out = 0 if preview == "1" and not header else 1  # without Qualtrics' rows, 1 may be any code
+    left_out = 0 if real == "0" and not header else 1  # without Qualtrics' rows, 1 may be any code
     assert len({answer.participant for answer in records.answers}) == 9 - left_out
     assert records.answers[0].participant == "5f" + 22 * "0"
     assert ("rows 2 to 3" in caplog.text) == bool(header)

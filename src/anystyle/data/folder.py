@@ -28,15 +28,13 @@ from anystyle.types.views import SHOWN
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
 
-OTHER = frozenset({"@eadir", "__macosx", "depth", "depths", "mask", "masks", "normals", "thumbnails"})
-"""Folders beside photographs whose images are not photographs."""
-
-MAPS = frozenset(
-    {"depth", "depths", "disp", "disparity", "mask", "masks", "normal", "normals", "seg", "segmentation", "semantic"}
-)
+MAP = re.compile(r"albedo|conf(idence)?|depth(map)?s?|disp(arity)?|masks?|matte|normals?|segm?(entation)?|semantics?")
 """Words in the name of an image that is a map of the photograph with the rest of the name."""
 
-COLOURS = frozenset(["color", "colour", "image", "img", "photo", "rgb"])
+OTHER = re.compile(rf"@eadir|__macosx|thumbnails|(.*[\W\d_])?({MAP.pattern})([\W\d_].*)?", re.IGNORECASE)
+"""Names of folders beside photographs whose images are not photographs."""
+
+COLOURS = frozenset(["color", "colour", "frame", "image", "img", "photo", "rgb"])
 """Words by which the photograph is told from its maps."""
 
 RAW = frozenset([".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw", ".x3f"])
@@ -95,26 +93,18 @@ def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Camer
     return Views(stacked, cameras, names=tuple(source.name for _, source in pictures))
 
 
+_ASPECT = "%d of %d photographs have another aspect than most, as upright ones among wide ones; %s: %s"
+
+
 def tell_of_cut(sources: Sequence[SourceImage]) -> None:
     """Log warnings that name photographs of which less than :data:`SHOWN` is in their view, or that do not fill it."""
     shown = {source.name: _shown(source) for source in sources}
     if whole := [source.name for source in sources if source.inside != (0, 0, *source.view_size[::-1])]:
-        _log.warning(
-            "%d of %d photographs have another aspect than most, as upright ones among wide ones; they are kept whole, "
-            "at fewer pixels: %s",
-            len(whole),
-            len(shown),
-            listing(whole),
-        )
+        told = "they are kept whole, at fewer pixels"
+        _log.warning(_ASPECT, len(whole), len(shown), told, listing(whole))
     if cut := [name for name, share in shown.items() if share < SHOWN]:
-        _log.warning(
-            "%d of %d photographs have another aspect than most, as upright ones among wide ones; their middles are "
-            "used, %.0f%% of them: %s",
-            len(cut),
-            len(shown),
-            100 * min(shown.values()),
-            listing(cut),
-        )
+        told = f"their middles are used, {100 * min(shown.values()):.0f}% of them"
+        _log.warning(_ASPECT, len(cut), len(shown), told, listing(cut))
 
 
 def _shown(source: SourceImage) -> float:
@@ -160,31 +150,38 @@ def read_picture(
 
 def image_files(folder: Path) -> list[Path]:
     """The image files of a folder, in natural order of their names; without hidden ones and :func:`map_files`."""
-    files = _visible(folder, images.SUFFIXES)
+    files = visible(folder, images.SUFFIXES)
     maps = set(map_files(files))
     return [file for file in files if file not in maps]
 
 
 def map_files(files: Sequence[Path]) -> list[Path]:
-    """The depth, normal and mask images among those of a folder: named as a photograph there, and by one of MAPS."""
+    """The images among those of a folder that are no photographs of their own, by their names.
 
-    def split(file: Path) -> tuple[str, ...]:
-        return tuple(word for word in re.split(r"[\W_]+", file.stem.lower()) if word not in COLOURS)
+    Depth, normals and masks are named as a photograph there and by a MAP, masks of COLMAP by the whole of its name.
+    Of copies in several formats, which differ in their suffix alone, one counts, that in JPEG if there is one.
+    """
+    words = {file: _words(file) for file in files}
+    photographs = {each for each in words.values() if each and not any(map(MAP.fullmatch, each))}
 
-    photographs = {words for words in map(split, files) if not MAPS.intersection(words)}
-
-    def is_map(words: tuple[str, ...]) -> bool:
-        place = next((index for index, word in enumerate(words) if word in MAPS), None)
-        if place is None:
-            return False
+    def rests(file: Path) -> set[tuple[str, ...]]:
+        own = words[file]
+        at = next((index for index, word in enumerate(own) if MAP.fullmatch(word)), len(own))
         # Blender numbers what it renders once more: r_0_depth_0001.png beside r_0.png.
-        rests = {words[:place] + words[place + 1 :], words[:place]} - {()}
-        return not photographs.isdisjoint(rests)
+        return {own[:at] + own[at + 1 :], own[:at]} - {own}
 
-    return [file for file in files if is_map(split(file))]
+    names = {file.name for file in files}
+    chosen = {file.stem: file for file in sorted(files, key=lambda file: file.suffix.lower() in (".jpg", ".jpeg"))}
+    return [file for file in files if photographs & rests(file) or file.stem in names or chosen[file.stem] != file]
 
 
-def _visible(folder: Path, suffixes: Collection[str]) -> list[Path]:
+def _words(path: Path) -> tuple[str, ...]:
+    """The words and numbers of a name, without COLOURS: those of ``Image0001.png`` are those of ``frame_0001.png``."""
+    words = re.split(r"[\W_]+|(?<=[a-z\d])(?=[A-Z])|(?<=[^\W\d_])(?=\d)", path.stem)
+    return tuple(word.lower() for word in words if word and word.lower() not in COLOURS)
+
+
+def visible(folder: Path, suffixes: Collection[str]) -> list[Path]:
     """Files of a folder by their suffixes; ``._NAME`` of a Mac and other hidden ones are none."""
     files = [path for path in folder.glob("[!.]*") if path.suffix.lower() in suffixes and path.is_file()]
     return sorted(files, key=lambda path: natural(path.name))
@@ -199,7 +196,7 @@ def nested_image_files(folder: Path, depth: int = 3) -> list[Path]:
 
 def folders_of_photographs(folder: Path) -> list[Path]:
     """The folders in a folder that may hold photographs; of reduced copies the largest."""
-    inside = [path for path in folder.glob("[!.]*") if path.is_dir() and path.name.lower() not in OTHER]
+    inside = [path for path in folder.glob("[!.]*") if path.is_dir() and not OTHER.fullmatch(path.name)]
     inside.sort(key=lambda path: natural(path.name))
     copies = [path for path in inside if re.fullmatch(r"images_\d+", path.name)]
     return [path for path in inside if path not in copies[1:]]
@@ -247,7 +244,9 @@ def files_of(item: Path) -> list[Path]:
         places = [reader.photographs(path) for reader, path in found if path is not None]
         direct = (image_files(folder) for folder in (*places, item, item / "images") if folder and folder.is_dir())
         nested = (nested_image_files(folder) for folder in (item / "images", item))
-        return next(filter(None, chain(direct, nested)), []) or _film_of(item)
+        found = next(filter(None, chain(direct, nested)), [])
+        thumbnail = len(found) == 1 and any(film.stem == found[0].stem for film in visible(item, video.SUFFIXES))
+        return found if found and not thumbnail else _film_of(item)
     if item.is_file():
         return [item]
     found = map(Path, glob.glob(str(item)))  # noqa: PTH207  (a pattern may be absolute)
@@ -259,7 +258,7 @@ def files_of(item: Path) -> list[Path]:
 
 def _film_of(folder: Path) -> list[Path]:
     """The film of a folder without images, or what to do about what is there."""
-    films, raw = _visible(folder, video.SUFFIXES), _visible(folder, RAW)
+    films, raw = visible(folder, video.SUFFIXES), visible(folder, RAW)
     if len(films) == 1:
         return films
     if films:
@@ -268,7 +267,8 @@ def _film_of(folder: Path) -> list[Path]:
         raise UserError(
             f"the {len(raw)} photographs in the folder {folder} are not developed ({_kinds(raw)}); {_DEVELOP}"
         )
-    raise UserError(f"there are no images in the folder {folder}")
+    others = _kinds([path for path in folder.glob("[!.]*") if path.suffix and path.is_file()])
+    raise UserError(f"there are no images in the folder {folder}{others and f'; its files are {others}'}")
 
 
 _DEVELOP = "save them as JPEG or TIFF with the program of the camera"
@@ -310,6 +310,8 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
                 shots.append(_Shot(path, text_of(path.stem), images.photograph_size(path)))
         except ValueError as error:
             problems.append(str(error))
+    if shots and all(width == 2 * height for _, _, (width, height), _ in shots):
+        _log.warning("all photographs are twice as wide as high, as 360° cameras take them; cut such into views")
     return shots or _nothing(problems), problems
 
 
@@ -324,17 +326,17 @@ def _tell_folders(item: Path, folders: Sequence[Path]) -> None:
 
 def _tell_left_out(folder: Path) -> None:
     """Say which files beside photographs are not taken for photographs."""
-    files = _visible(folder, images.SUFFIXES)
+    files = visible(folder, images.SUFFIXES)
     if maps := map_files(files):
-        _log.warning(
-            "%d of %d images in %s are named as depth, normals or masks of the others, and are left out: %s",
-            len(maps),
-            len(files),
-            folder,
-            listing([file.name for file in maps], most=4),
+        told = (
+            "%d of %d images in %s are depth, normals, masks or copies of others by their names, and are left out: %s"
         )
+        _log.warning(told, len(maps), len(files), folder, listing([file.name for file in maps], most=4))
     developed = {file.stem for file in files}
-    if raw := [file for file in _visible(folder, RAW) if file.stem not in developed]:
+    films = [file.name for file in visible(folder, video.SUFFIXES) if file.stem not in developed]
+    if files and films:  # a live photograph and the thumbnail of a film are named as that film
+        _log.warning("%s has photographs; the films in it are left out: %s", folder, listing(films, most=4))
+    if raw := [file for file in visible(folder, RAW) if file.stem not in developed]:
         _log.warning(
             "%d photographs in %s are not developed (%s) and are left out; %s", len(raw), folder, _kinds(raw), _DEVELOP
         )

@@ -7,8 +7,8 @@ from typing import Literal
 from PIL import Image
 
 from anystyle.data.captions import captions_file, read_captions
-from anystyle.data.folder import image_files
-from anystyle.data.images import readable
+from anystyle.data.folder import visible
+from anystyle.data.images import SUFFIXES, readable
 from anystyle.data.stored import StoredStyle, StoredStyles
 from anystyle.errors import UserError, listing
 from anystyle.ranges import AtLeastOne
@@ -40,7 +40,7 @@ class FolderStyles(StoredStyles):
         folder = Path(root)
         if not folder.is_dir():
             raise UserError(f"root={root}: there is no such folder of style images")
-        self.paths = readable(image_files(folder))
+        self.paths = readable(visible(folder, SUFFIXES))
         if not self.paths:
             raise UserError(f"root={root}: there are no images in it")
         self.size, self.crop = size, crop

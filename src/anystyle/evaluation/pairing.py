@@ -1,5 +1,6 @@
 """Frame pairing: which photograph and which style each stylized image of three folders belongs to."""
 
+import re
 import unicodedata
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -88,10 +89,11 @@ class Pairing:
         for scene in {gap.scene for gap in self.missing}:
             given = {frame for cell in self.cells if cell.scene == scene for frame in cell.frames}
             absent = {frame for gap in self.missing if gap.scene == scene for frame in gap.frames} - given
-            if not (given and absent) or not all(frame.isdecimal() for frame in given | absent):
+            last = {frame: int(found[-1]) for frame in given | absent if (found := re.findall("[0-9]+", frame))}
+            numbers, others = (sorted(last.get(frame, -1) for frame in frames) for frames in (given, absent))
+            if not (numbers and others) or others[0] <= numbers[-1]:
                 continue
-            numbers = sorted(map(int, given))
-            if numbers[0] <= 1 and numbers[-1] - numbers[0] < len(numbers) and min(map(int, absent)) > numbers[-1]:
+            if 0 <= numbers[0] <= 1 and numbers[-1] - numbers[0] < len(numbers):
                 counted = f"{len(given)} of {len(given | absent)} views of {scene or 'the scene'}"
                 raise UserError(
                     f"the results of {counted} are numbered {numbers[0]} to {numbers[-1]}: these may be the first "

@@ -4,6 +4,7 @@ A reader returns a value of the shape that it asked for, or raises one line that
 expected. Only regular files of bounded size, depth and number of values are read; numbers are finite and of 64 bits.
 """
 
+import codecs
 import math
 import os
 import stat
@@ -88,7 +89,7 @@ def read_text(path: str | Path, *, most: int = MAX_BYTES, what: str = "text file
 
 def read_json(path: str | Path, shape: type[T] | Any, *, what: str = "JSON file") -> T:
     """A JSON file, called ``what`` in messages, as a value of a type that msgspec knows, such as a dataclass."""
-    return parse_json(read_bytes(path, what=what), shape, source=str(path), what=what)
+    return parse_json(read_bytes(path, what=what).removeprefix(codecs.BOM_UTF8), shape, source=str(path), what=what)
 
 
 def kept_json(path: str | Path, shape: type[T] | Any) -> T | None:

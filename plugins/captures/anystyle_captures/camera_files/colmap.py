@@ -29,6 +29,8 @@ ONE_FOCAL = frozenset(
 """Models whose parameters begin with ``f, cx, cy``; those of the others begin with ``fx, fy, cx, cy``."""
 _POLYNOMIAL = ONE_FOCAL - {"SIMPLE_DIVISION"} | {"PINHOLE", "OPENCV", "FULL_OPENCV", "FISHEYE", "OPENCV_FISHEYE"}
 """Models whose terms are those of a :class:`Lens`."""
+_PLACES = ("", "sparse", "colmap/sparse", "colmap", "colmap_text", "distorted/sparse")
+"""Of a model below a capture's folder; that of undistorted copies, in ``dense``, is found from there."""
 UNDISTORT = (
     "undistort the photographs first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path OUT"
 )
@@ -50,7 +52,7 @@ class ColmapModel(CameraReader):
         return {}
 
     def find(self, path: Path) -> Path | None:
-        candidates = (path / inside for inside in ("", "sparse", "colmap/sparse"))
+        candidates = (path / inside for inside in _PLACES)
         found = next((candidate for candidate in candidates if _models(candidate)), None)
         return _models(found)[0] if found is not None and len(_models(found)) == 1 else found
 

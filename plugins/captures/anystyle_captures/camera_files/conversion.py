@@ -37,8 +37,10 @@ def rigid(matrix: np.ndarray, *, length: float = 1.0) -> Float64[np.ndarray, "4 
     axes = matrix[:3, :3] / length
     u, _, vt = np.linalg.svd(axes)
     rotation = u @ vt
-    if np.linalg.det(rotation) < 0 or np.abs(rotation - axes).max() > TOLERANCE:
+    if np.abs(rotation - axes).max() > TOLERANCE:
         raise UserError("a pose has no rotation in it")
+    if np.linalg.det(rotation) < 0:
+        raise UserError("a pose mirrors: its axes are left-handed, as Unity's are; turn one of them round")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, matrix[:3, 3]
     return pose

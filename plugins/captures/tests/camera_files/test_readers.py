@@ -243,6 +243,7 @@ DAMAGE = {
     "transforms": [
         ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* cut them into views"),
         ('"OPENCV"', '"FOV"', "camera_model FOV is not one of"),
+        ("[[0.9999999999999999,", "[[-0.9999999999999999,", "a pose mirrors: its axes are left-handed"),
     ],
 }
 
@@ -277,6 +278,21 @@ def test_other_files_beside_photographs_are_left_alone(tmp_path):
     header = "#name,x,y,alt,yaw,pitch,roll,f_35mm,px_norm,py_norm,k1,k2,k3,k4,t1,t2"
     (tmp_path / "cameras.csv").write_text("#cameras 3\n" + header + "\n" + text.partition("\n")[2])
     assert len(read_poses(tmp_path, images)) == 3
+
+
+@pytest.mark.parametrize("place", ["colmap", "colmap_text", "colmap/sparse/0", "distorted/sparse/0"])
+def test_models_are_found_where_programs_put_them(tmp_path, place):
+    images = samples.write_photographs(tmp_path / "input", SIZE)
+    samples.write_colmap(tmp_path / place, images, samples.poses(), LENS)
+    assert len(read_poses(tmp_path, images)) == len(images)
+
+
+def test_a_byte_order_mark_is_no_damage(tmp_path):
+    images = samples.write_photographs(tmp_path, SIZE)
+    transforms(tmp_path, images, LENS)
+    file = tmp_path / "transforms.json"
+    file.write_text(file.read_text(), encoding="utf-8-sig")
+    assert len(read_poses(tmp_path, images)) == len(images)
 
 
 def test_blenders_splits_are_one_capture_of_the_size_of_its_images(tmp_path):
