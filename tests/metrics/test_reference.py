@@ -9,13 +9,13 @@ from anystyle.metrics.art_fid import ArtFID
 from anystyle.metrics.art_score import ArtScore
 from anystyle.metrics.color_match import ColorMatch
 from anystyle.metrics.lpips import LPIPS, LPIPSGray
+from anystyle.metrics.warp_consistency import WarpConsistency, corrected_warp, reference_warp
 from anystyle.testing.oracle import assert_matches, hashed, smooth_image
 from anystyle.types import Comparison, Flow, Frames, Style
 from anystyle.vision import lpips
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
 from anystyle_metrics.cfsd import CFSD, structural_distance
 from anystyle_metrics.optical_flow.raft import Raft
-from anystyle_metrics.warp_consistency import WarpConsistency, corrected_warp, reference_warp
 from tests.support.judging_cases import filled_folder, nine_frames, six_pairs
 from tests.support.oracle import golden
 

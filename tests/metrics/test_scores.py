@@ -18,6 +18,7 @@ from anystyle.metrics.color_match import ColorMatch
 from anystyle.metrics.kid import KID, discrepancy
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
+from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.testing.toy.metric import ToyMetric
@@ -27,7 +28,6 @@ from anystyle.types import Comparison, Style
 from anystyle.vision import feature_cache
 from anystyle_metrics.clip import ClipDirection, ClipStyle
 from anystyle_metrics.optical_flow.raft import Raft
-from anystyle_metrics.warp_consistency import WarpConsistency
 
 
 def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:

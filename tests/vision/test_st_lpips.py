@@ -14,11 +14,11 @@ from anystyle.data.images import to_tensor
 from anystyle.io.sheet import to_pil
 from anystyle.metrics.art_fid import ArtFID
 from anystyle.metrics.lpips import LPIPSGray
+from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.inputs import comparison
 from anystyle.testing.oracle import smooth_image
 from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.vision import lpips, weights
-from anystyle_metrics.warp_consistency import WarpConsistency
 from tests.support.oracle import golden
 
 BACKBONES = ("alex", "vgg")

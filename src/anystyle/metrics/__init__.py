@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from anystyle.metrics.psnr import PSNR as PSNR
     from anystyle.metrics.ssim import SSIM as SSIM
     from anystyle.metrics.timing import Timing as Timing
+    from anystyle.metrics.warp_consistency import WarpConsistency as WarpConsistency
 
 
 def __getattr__(name: str) -> Any:

@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.contracts import Correspondence, accepts_tensors
+from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.base import NetworkMetric
 from anystyle.types import Comparison, Flow, Frames
 from anystyle.types.shapes import check_tensor, check_value
 from anystyle.vision import lpips, preprocess
 from anystyle.vision.feature_cache import batch_size, digests
 from anystyle.vision.weights import Weights
-from anystyle_metrics.warping import backward_warp, softmax_splat
 
 RANGES = {"short": 1, "long": 7}
 """How many frames lie between the frames of a pair."""

@@ -1,8 +1,7 @@
 import torch
 
-from anystyle.geometry.warp import sample_at
+from anystyle.geometry.warp import backward_warp, sample_at, softmax_splat
 from anystyle.testing.oracle import assert_matches, hashed
-from anystyle_metrics.warping import backward_warp, softmax_splat
 from tests.support.oracle import golden
 
 GOLDEN = golden("anystyle_golden")
