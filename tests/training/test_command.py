@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -92,10 +93,13 @@ def test_a_working_folder_of_the_jobs_own_is_refused(tmp_path, monkeypatch, caps
     assert "hydra.job.chdir=true: relative paths" in told and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("word", ["styles=null", "scenes@validation_scenes=null"])
+@pytest.mark.parametrize("word", ["styles=null", "scenes@validation_scenes=null", "loss=null", "callbacks=null"])
 def test_a_group_that_is_set_to_null_is_told_with_the_way_out(word):
-    with pytest.raises(UserError, match=f"{word}: a group takes a name; to leave it out, write '~{word[:-5]}'"):
+    way = f"{word[:-5]}=[]" if word.startswith(("loss", "callbacks")) else f"~{word[:-5]}"
+    with pytest.raises(UserError, match=re.escape(f"{word}: a group takes a name; to leave it out, write '{way}'")):
         compose("train", ["experiment=paper_head", word, "name=x", "out=y"])
+    if "[]" in way:
+        compose("train", ["experiment=paper_head", way, "name=x", "out=y"])
     assert compose("train", ["experiment=paper_head", "~model", "name=x", "out=y"]).weights.backbone is None
 
 

@@ -36,7 +36,7 @@ def searched(tmp_path, monkeypatch):
         found = yaml.safe_load((tmp_path / "search/optimization_results.yaml").read_text())
         return found, tried
 
-    monkeypatch.setattr("anystyle.commands.train.train", train)
+    monkeypatch.setattr("anystyle.training.run.train", train)
     return search
 
 

@@ -18,7 +18,7 @@ from yaml import YAMLError
 
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
-from anystyle.registry.builtin import OPTIONS
+from anystyle.registry.builtin import MANY, OPTIONS
 from anystyle.registry.catalog import PluginError, catalog, kinds
 from anystyle.registry.packages import groups, presets
 from anystyle.registry.schema import literal, node
@@ -87,9 +87,10 @@ def check_words(config_name: str, words: Sequence[str]) -> None:
                 raise UserError(f"{word}: {answer}")
         if key in (*OPTIONS, "weights") and key not in groups() and not value.startswith(("{", "$")):
             raise UserError(f"{word}: '{key}' has options and no choices; set one of them as {key}.OPTION=VALUE")
-        if (match := _NULL.fullmatch(word)) and match["group"] in groups():
-            remedy = f"to leave it out, write '~{word.removesuffix('=null')}'"
-            raise UserError(f"{word}: a group takes a name; {remedy}; there are: {', '.join(choices(match['group']))}")
+        if (match := _NULL.fullmatch(word)) and (group := match["group"]) in groups():
+            way = f"{group}=[]" if group in (*MANY, "callbacks") else f"~{word.removesuffix('=null')}"
+            remedy = f"to leave it out, write '{way}'; there are: {', '.join(choices(group))}"
+            raise UserError(f"{word}: a group takes a name; {remedy}")
 
 
 def idle(config: DictConfig) -> set[str]:

@@ -38,10 +38,8 @@ class StepSeed(Callback):
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         torch.manual_seed(int(generator(self.seed, batch_idx, 0).integers(2**63)))
 
-    def on_validation_batch_start(
-        self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int, dataloader_idx: int = 0
-    ) -> None:
-        self.on_train_batch_start(trainer, pl_module, batch, batch_idx)  # validations differ by the weights alone
+    def on_validation_batch_start(self, trainer: Trainer, pl_module: LightningModule, *batch: Any, **_: Any) -> None:
+        self.on_train_batch_start(trainer, pl_module, *batch[:2])  # validations differ by the weights alone
 
 
 def ends_step(trainer: Trainer, batch_idx: int) -> bool:
