@@ -44,8 +44,8 @@ def check_sources(answers: Sequence[Answer]) -> None:
     if differing:
         where = {source for cell in differing for source in common[cell]}
         raise UserError(
-            f"{some({cell[0] for cell in differing})} answered {len(differing)} of the {len(common)} questions that are "
-            f"in {some(where, ' and ')} differently: add --sessions if they are different people, or leave one of "
+            f"{some({cell[0] for cell in differing})} answered {len(differing)} of the {len(common)} questions that "
+            f"are in {some(where, ' and ')} differently: add --sessions if they are different people, or leave one of "
             "their answers out"
         )
     _check_twice(answers)
