@@ -196,7 +196,8 @@ def _followed(
     here, there = photographs[first], photographs[second]
     flow = match(here, there)
     seen = cycle_visible(flow, match(there, here))
-    return seen.float().mean((1, 2)), flow, seen
+    share = seen.float().mean((1, 2))
+    return share, flow, seen & (share >= LEAST)[:, None, None]
 
 
 def _corrected(photographs: Float[Tensor, "V 3 H W"], links: Links) -> Float[Tensor, "M 2 H W"]:
