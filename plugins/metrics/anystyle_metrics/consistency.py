@@ -249,21 +249,22 @@ class Consistency(Metric):
     ``consistency_coverage`` is the share of the first views' pixels that are compared, and ``consistency_verified`` the
     share of visible pixels where the photographs agree. Pairs on which photographs do not agree with themselves
     (verified below 0.6, or their own score above 0.5) are left out, as are results with less contrast in the band than
-    rounding leaves: flat or very blurred ones. Where nothing is left figures are ``nan``, with a warning.
+    rounding leaves: flat or very blurred ones. Where nothing is left there is no coverage, and scores are ``nan``,
+    with a warning.
 
     It does not see pixel noise and errors of less than about 3 pixels of 378, which lie below the band, what a style
     has removed, and wrong geometry that all views share.
 
     Attributes:
-        pairs: Of the last row, a dict for each pair with its views' places, overlap, coverage and figures.
+        pairs: Of the last row, a dict for each pair with its views' places, overlap, coverage and scores.
 
     Example:
         >>> from anystyle.types import Cameras
         >>> views = torch.rand(1, 1, 3, 64, 64).expand(1, 2, 3, 64, 64)
         >>> intrinsics = torch.tensor([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]).repeat(1, 2, 1, 1)
         >>> cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), intrinsics, (64, 64))
-        >>> figures = Consistency()(views, views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
-        >>> round(float(figures["consistency"]), 3)
+        >>> scores = Consistency()(views, views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
+        >>> round(float(scores["consistency"]), 3)
         0.0
     """
 
@@ -299,7 +300,7 @@ class Consistency(Metric):
         return dict(zip(self.better, (self.totals / self.rows).float(), strict=True))  # nan where there is no row
 
     def _row(self, comparison: Comparison, row: int) -> dict[str, float]:
-        """The figures of one style of a scene, in the order of ``better``."""
+        """The scores of one style of a scene, in the order of ``better``."""
         photographs, views = (_small(images[row], SIDE) for images in (comparison.content, comparison.stylized))
         links, allowed = self._linked(comparison, row, photographs)
         first, second = links.aligned(views)
@@ -311,6 +312,7 @@ class Consistency(Metric):
         known = (links.first, links.second, links.overlap, coverage, share, structure, changes)
         table = zip(*(column.tolist() for column in known), strict=True)
         self.pairs = [dict(zip(COLUMNS, values, strict=True)) for values in table]
+        coverage, share = (values if len(values) else values.new_zeros(1) for values in (coverage, share))
         short = links.overlap >= LONG
         parts = (structure, structure[short], structure[~short], changes, coverage, share)
         return dict(zip(self.better, (float(part.double().nanmean()) for part in parts), strict=True))
