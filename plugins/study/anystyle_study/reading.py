@@ -77,7 +77,7 @@ def read_responses(
 def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    inside = [file for file in sorted(path.iterdir()) if file.is_file()]
+    inside = [file for file in sorted(path.iterdir()) if file.is_file() and not file.name.startswith((".", "~$"))]
     files, taken = [file for file in inside if file.suffix.lower() in _SUFFIXES], ", ".join(_SUFFIXES)
     for file in inside:
         if file.suffix.lower() in (".txt", ".xls", ".xlsx", ".ods", ".zip"):
