@@ -166,6 +166,7 @@ def test_bad_inputs_end_in_one_line(tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.png").write_text("nonsense")
     (tmp_path / "bad.mp4").write_text("nonsense")
+    (tmp_path / "VID_00.insv").write_bytes(b"\0\0\0\x18ftypavc1")
     with av.open(str(tmp_path / "sound.mp4"), "w") as container:
         stream = container.add_stream("aac", rate=44100)
         stream.layout = "mono"
@@ -177,6 +178,7 @@ def test_bad_inputs_end_in_one_line(tmp_path):
         "empty": "no images in the folder",
         "absent": "no folder, image or video",
         "sound.mp4": "no video in it",
+        "VID_00.insv": "save films as .mp4, and those of 360° cameras cut into views",
     }
     for name, words in (told | {"bad.png": "no photograph can be read", "bad.mp4": "is not a video"}).items():
         with pytest.raises(ValueError, match=words) as caught:
@@ -261,6 +263,9 @@ def test_a_photograph_of_nearly_the_same_aspect_fills_its_view():
         (["0001.png", "0002.png"], ["0001.png.png", "0002.png.png"]),
         (["0001.jpg"], ["0001.jpg.png", "0001.png", "0001.avif", "0001.tif"]),
         (["Image0001", "Image0002"], ["Depth0001", "Normal0002", "Image0001Mask"]),
+        (["rgb"], ["depth", "mask"]),
+        (["view_1_rgb"], ["view_1_instance", "view_1_semantic_instance", "view_1_thumb"]),
+        (["mask", "depth"], []),
         (["frame_00001"], ["mask_00001", "frame_00001_matte", "00001_albedo", "00001_confidence", "00001Depth"]),
         (["IMG_1", "mask of a lion", "depths of winter"], []),
         (["a_mask_1", "a_mask_2"], []),

@@ -137,7 +137,8 @@ def test_another_layout_is_refused_with_what_to_type_and_then_read(tmp_path, lay
     for scene, style, frame in product(("one", "two"), ("a_b", "c"), ("f_0", "f_1")):
         picture(tmp_path / "content" / scene / f"{frame}.png", 0)
         picture(tmp_path / "style" / f"{style}.png", 0)
-        picture(tmp_path / "stylized" / f"{layout.format(scene=scene, style=style, frame=frame)}.png", 0)
+        for place in {layout, layout.replace("/renders/", "/gt/")}:  # 3DGS puts the photographs beside its renders
+            picture(tmp_path / "stylized" / f"{place.format(scene=scene, style=style, frame=frame)}.png", 0)
     picture(tmp_path / "stylized" / "sheet.png", 0)  # is no result by these layouts
     named = tmp_path / "content", tmp_path / "style", tmp_path / "stylized"
     with pytest.raises(UserError) as caught:

@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -49,6 +49,7 @@ EVIDENCE = 0.1
 COLUMNS = ("first", "second", "overlap", "coverage", "verified", "consistency", "consistency_flicker")
 """What is known of each pair."""
 FOLLOWED = "consistency: without depth and cameras, pixels are followed by flow between the photographs"
+TOO_FLAT = "the views are too flat or too blurred to judge"
 NO_EVIDENCE = "the photographs agree in no pair of views: too little overlap, or depth or cameras are wrong"
 
 
@@ -87,7 +88,7 @@ def local_mean(
     return (rows @ (values * mask) @ columns) / (rows @ mask @ columns).clamp_min(1e-6)
 
 
-@cache
+@lru_cache(64)
 def _gaussian(size: int, sigma: float) -> Float[Tensor, "N N"]:
     places = torch.arange(size, dtype=torch.float64)
     weights = torch.exp(-((places - places[:, None]) / sigma).square() / 2)
@@ -139,7 +140,7 @@ def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Fr
 
     ``rough`` are the same views in a small size, to choose the pairs by.
     """
-    pairs = _neighbours(len(photographs)) if rough is None else _overlapping(rough)
+    pairs = _neighbours(photographs) if rough is None else _overlapping(rough)
     ends = zip(*(places.split(1) for places in pairs), strict=True)
     parts = [_followed(photographs, *end) if frames is None else _projected(frames, *end) for end in ends]
     overlap, flow, seen = map(torch.cat, zip(*parts, strict=True))
@@ -154,9 +155,9 @@ def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Fr
     return links._replace(verified=verified & agree[:, None, None])
 
 
-def _neighbours(num_views: int) -> tuple[Tensor, Tensor]:
+def _neighbours(photographs: Float[Tensor, "V 3 H W"]) -> tuple[Tensor, Tensor]:
     """The places of pairs, the nearest in the sequence first."""
-    first, second = torch.combinations(torch.arange(num_views)).unbind(1)
+    first, second = torch.combinations(torch.arange(len(photographs), device=photographs.device)).unbind(1)
     nearest = (second - first).argsort(stable=True)[:MOST]
     return first[nearest], second[nearest]
 
@@ -164,7 +165,7 @@ def _neighbours(num_views: int) -> tuple[Tensor, Tensor]:
 def _overlapping(rough: Frames) -> tuple[Tensor, Tensor]:
     """The places of pairs of which the second view sees enough of the first, from the most to the least of it."""
     num_views = len(rough.images)
-    places = torch.arange(num_views)
+    places = torch.arange(num_views, device=rough.images.device)
     pairs = torch.combinations(places).split(num_views)
     parts = [_projected(rough, *batch.unbind(1)) for batch in pairs]
     overlap, seen = torch.cat([part[0] for part in parts]), torch.cat([part[2].float().mean((1, 2)) for part in parts])
@@ -196,7 +197,8 @@ def _followed(
     here, there = photographs[first], photographs[second]
     flow = match(here, there)
     seen = cycle_visible(flow, match(there, here))
-    return seen.float().mean((1, 2)), flow, seen
+    share = seen.float().mean((1, 2))
+    return share, flow, seen & (share >= LEAST)[:, None, None]
 
 
 def _corrected(photographs: Float[Tensor, "V 3 H W"], links: Links) -> Float[Tensor, "M 2 H W"]:
@@ -247,21 +249,22 @@ class Consistency(Metric):
     ``consistency_coverage`` is the share of the first views' pixels that are compared, and ``consistency_verified`` the
     share of visible pixels where the photographs agree. Pairs on which photographs do not agree with themselves
     (verified below 0.6, or their own score above 0.5) are left out, as are results with less contrast in the band than
-    rounding leaves: flat or very blurred ones. Where nothing is left figures are ``nan``, with a warning.
+    rounding leaves: flat or very blurred ones. Where nothing is left there is no coverage, and scores are ``nan``,
+    with a warning.
 
     It does not see pixel noise and errors of less than about 3 pixels of 378, which lie below the band, what a style
     has removed, and wrong geometry that all views share.
 
     Attributes:
-        pairs: Of the last row, a dict for each pair with its views' places, overlap, coverage and figures.
+        pairs: Of the last row, a dict for each pair with its views' places, overlap, coverage and scores.
 
     Example:
         >>> from anystyle.types import Cameras
         >>> views = torch.rand(1, 1, 3, 64, 64).expand(1, 2, 3, 64, 64)
         >>> intrinsics = torch.tensor([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]).repeat(1, 2, 1, 1)
         >>> cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), intrinsics, (64, 64))
-        >>> figures = Consistency()(views, views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
-        >>> round(float(figures["consistency"]), 3)
+        >>> scores = Consistency()(views, views, cameras=cameras, depth=torch.ones(1, 2, 64, 64))
+        >>> round(float(scores["consistency"]), 3)
         0.0
     """
 
@@ -277,6 +280,7 @@ class Consistency(Metric):
     def __init__(self) -> None:
         super().__init__()
         self.pairs: list[dict[str, float]] = []
+        self._lacking = NO_EVIDENCE
         # The last scene's pairs and the photographs' own change of colour in each, for its next style.
         self._links: tuple[list[str], Links, Tensor] | None = None
         self.add_state("totals", torch.zeros(len(self.better), dtype=torch.float64), dist_reduce_fx="sum")
@@ -291,23 +295,24 @@ class Consistency(Metric):
             self.rows += ~values.isnan()
 
     def compute(self) -> dict[str, Tensor]:
+        if int(self.rows[0]) == 0:
+            warnings.warn(f"consistency: {self._lacking}; the scores are nan", stacklevel=2)
         return dict(zip(self.better, (self.totals / self.rows).float(), strict=True))  # nan where there is no row
 
     def _row(self, comparison: Comparison, row: int) -> dict[str, float]:
-        """The figures of one style of a scene, in the order of ``better``."""
+        """The scores of one style of a scene, in the order of ``better``."""
         photographs, views = (_small(images[row], SIDE) for images in (comparison.content, comparison.stylized))
         links, allowed = self._linked(comparison, row, photographs)
         first, second = links.aligned(views)
         structure = disagreement(first, second, links.verified)
         changes = flicker(colour_shift(views, first, second, links.verified), allowed)
         changes = changes.where(~structure.isnan(), torch.nan)
-        if not len(structure) or bool(structure.isnan().all()):
-            reason = "the views are too flat or too blurred to judge" if len(structure) else NO_EVIDENCE
-            warnings.warn(f"consistency: {reason}; the figures are nan", stacklevel=4)
+        self._lacking = TOO_FLAT if len(structure) else NO_EVIDENCE
         coverage, share = links.verified.float().mean((1, 2)), links.verified.sum((1, 2)) / links.seen.sum((1, 2))
         known = (links.first, links.second, links.overlap, coverage, share, structure, changes)
         table = zip(*(column.tolist() for column in known), strict=True)
         self.pairs = [dict(zip(COLUMNS, values, strict=True)) for values in table]
+        coverage, share = (values if len(values) else values.new_zeros(1) for values in (coverage, share))
         short = links.overlap >= LONG
         parts = (structure, structure[short], structure[~short], changes, coverage, share)
         return dict(zip(self.better, (float(part.double().nanmean()) for part in parts), strict=True))

@@ -124,6 +124,7 @@ def test_without_evidence_there_is_no_figure():
         assert np.isnan(figures(metric, images, images, **wrong)["consistency"])
     with pytest.warns(UserWarning, match="flow between the photographs"):
         assert figures(metric, images, images)["consistency"] < 0.5
+    assert np.isnan(figures(metric, noise(1), noise(1))["consistency"])
 
 
 @pytest.mark.parametrize("name", CAPTURES)

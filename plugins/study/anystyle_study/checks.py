@@ -227,13 +227,12 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
                 f"scale is {scale.low:g} to {scale.high:g}; do not mix scales, give the right one with --scale, or say "
                 f"which number stands for a missing answer, as with --label={farthest:g}=NA"
             )
-        levels, sides = {*scores} - {*strange}, {answer.ours_is_a for answer in given if not answer.method}
-        below, above = ({level for level in levels if sign * (level - scale.midpoint) > 0} for sign in (-1, 1))
-        if len(sides) == 2 and len(scores) >= _MIN_STRAIGHT and bool(below) != bool(above):
+        sides = {answer.ours_is_a for answer in given if not answer.method}
+        halves = {score > scale.midpoint for score in {*scores} - {*strange, scale.midpoint}}
+        if len(sides) == 2 and len(halves) == 1 and len(scores) >= _MIN_STRAIGHT:
             checks.notes.append(
-                f"All answers to {question} are {min(levels):g} to {max(levels):g}, on one half of the scale of "
-                f"{scale.low:g} to {scale.high:g}, whichever side ours was on: if they are of another scale, give it "
-                "with --scale."
+                f"All answers to {question} are on one half of the scale of {scale.low:g} to {scale.high:g}, whichever "
+                "side ours was on: if they are of another scale, give it with --scale."
             )
     for answer in filter(outside, answers):
         checks.add("out_of_range", answer.participant, f"{answer.item}, {answer.question}: {answer.score:g}, left out")

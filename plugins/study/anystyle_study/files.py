@@ -20,7 +20,7 @@ _WORKBOOKS = (b"PK\3\4", b"\xd0\xcf\x11\xe0")
 
 PEOPLE = (
     *("prolific_pid", "prolific_id", "participant_id", "participant.code", "subject", "subject_id"),
-    *("worker_id", "workerid", "response_id", "responseid"),
+    *("worker_id", "workerid", "response_id", "responseid", "respondent_id", "participant_private_id"),
 )
 """Columns by which other programs name people, of which the first counts that is there."""
 

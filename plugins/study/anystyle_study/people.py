@@ -4,6 +4,7 @@ import logging
 import math
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Collection, Sequence
 
 from anystyle.errors import UserError
@@ -40,13 +41,12 @@ def check_sources(answers: Sequence[Answer]) -> None:
             places.setdefault(answer.participant, set()).add(answer.source)
     common = {cell: answers for cell, answers in given.items() if len(answers) > 1}
     differing = [cell for cell, answers in common.items() if len(set(answers.values())) > 1]
-    people = {cell[0] for cell in differing}
-    if people:
+    if differing:
         where = {source for cell in differing for source in common[cell]}
         raise UserError(
-            f"{some(people)} answered {len(differing)} of the {len(common)} questions that are in "
-            f"{some(where, ' and ')} differently: add --sessions if they are different people, or leave one of their "
-            "answers out"
+            f"{some({cell[0] for cell in differing})} answered {len(differing)} of the {len(common)} questions that "
+            f"are in {some(where, ' and ')} differently: add --sessions if they are different people, or leave one of "
+            "their answers out"
         )
     _check_twice(answers)
     if several := {name for name, sources in places.items() if len(sources) > 1}:
@@ -66,12 +66,10 @@ def some(names: Collection[str], last: str = ", ") -> str:
 
 def _check_twice(answers: Sequence[Answer]) -> None:
     """Refuse a table in which most people gave two answers to a question: those of several sessions, maybe."""
-    given: dict[tuple[str, ...], set[tuple[float, bool]]] = {}
-    for answer in answers:
-        if not math.isnan(answer.score):
-            given.setdefault(answer.cell, set()).add(answer.given)
-    twice = {cell[0] for cell, found in given.items() if len(found) > 1}
-    if 1 < len(twice) > len({cell[0] for cell in given}) / 2:
+    given = {(answer.cell, answer.given) for answer in answers if not math.isnan(answer.score)}
+    counts = Counter(cell for cell, _ in given)
+    twice = {person for (person, *_), count in counts.items() if count > 1}
+    if 1 < len(twice) > len({person for person, *_ in counts}) / 2:
         raise UserError(
             f"{some(twice)} gave two different answers to one question: if they are people of several sessions, call "
             "the column that tells these apart session and add --sessions; otherwise leave one of their answers out"

@@ -77,7 +77,7 @@ def read_responses(
 def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    inside = [file for file in sorted(path.iterdir()) if file.is_file()]
+    inside = [file for file in sorted(path.iterdir()) if file.is_file() and not file.name.startswith((".", "~$"))]
     files, taken = [file for file in inside if file.suffix.lower() in _SUFFIXES], ", ".join(_SUFFIXES)
     for file in inside:
         if file.suffix.lower() in (".txt", ".xls", ".xlsx", ".ods", ".zip"):
@@ -166,10 +166,12 @@ def _scores(
         counts = Counter(cells[index][:40] for index in strange)
         found = ", ".join(f"{word!r} ({count})" for word, count in counts.most_common(12))
         more = f" and {len(counts) - 12} others" if len(counts) > 12 else ""
+        places = {rows[index][""].partition(",")[0] for index in strange}
+        header = f"delete {places.pop()} if it is no participant's, but a header; or " if len(places) == 1 else ""
         raise UserError(
             f"{source}, {rows[strange[0]]['']}: {name} is {cells[strange[0]][:40]!r}; expected a number, a word of the "
-            f"scale or an empty cell; without a score are {found}{more}: give the scale's words from its lowest to its "
-            "highest answer, --labels WORD WORD ..., or one by one, --label WORD=SCORE --label WORD=NA"
+            f"scale or an empty cell; without a score are {found}{more}: {header}give the scale's words from its "
+            "lowest to its highest answer, --labels WORD WORD ..., or one by one, --label WORD=SCORE --label WORD=NA"
         )
     numbered = (cell for cell, known in zip(cells, words, strict=True) if plain(cell) not in known)
     if beside := [cell for cell in numbered if column.number(cell) is None]:

@@ -318,9 +318,15 @@ def test_answers_on_one_side_only_are_noted(tmp_path):
     assert "always shown as A" in checks.notes[0]
 
 
+def test_a_second_header_is_named(tmp_path):
+    path = write_csv(tmp_path / "r.csv", [("", "S1", "style", "Response", "A"), *answer_rows()])
+    with pytest.raises(ValueError, match=r"without a score are 'Response' \(1\): delete row 2 if it is no participant"):
+        judged(path)
+
+
 def test_answers_of_a_shorter_scale_are_noted(tmp_path):
     rows = [(*row[:3], 1 + row[3] % 2, "AB"[place % 2]) for place, row in enumerate(answer_rows())]
     checks, _ = judged(write_csv(tmp_path / "r.csv", rows))
-    assert checks.notes[0].startswith("All answers to style are 1 to 2, on one half of the scale of 1 to 5")
+    assert checks.notes[0].startswith("All answers to style are on one half of the scale of 1 to 5, whichever side")
     checks, _ = judged(write_csv(tmp_path / "r.csv", rows), scale=Scale(1.0, 2.0))
     assert not any("one half" in note for note in checks.notes)

@@ -79,8 +79,11 @@ def test_two_sessions_of_other_sets_are_told_to_be_of_the_same_people(tmp_path, 
 
 
 def test_the_same_file_twice_counts_once_and_is_told(tmp_path):
-    paths = [write_csv(tmp_path / name, session(True)) for name in ("a.csv", "b.csv")]
-    checks, (style,) = judged(paths)
+    for name in ("a.csv", "b.csv"):
+        write_csv(tmp_path / name, session(True))
+    (tmp_path / "._a.csv").write_bytes(b"\0\5\26\7")  # as a Mac leaves on a stick, and Excel beside an open file
+    (tmp_path / "~$a.csv").write_bytes(b"\0")
+    checks, (style,) = judged([tmp_path])
     assert (checks.answers_read, style.count) == (72, 36)
     (note,) = [note for note in checks.notes if "more than once" in note]
     assert note.startswith("36 answers were given more than once (1: 6, 2: 6, 3: 6 and 3 others; in a.csv and b.csv)")

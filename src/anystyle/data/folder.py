@@ -28,7 +28,9 @@ from anystyle.types.views import SHOWN
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
 
-MAP = re.compile(r"albedo|conf(idence)?|depth(map)?s?|disp(arity)?|masks?|matte|normals?|segm?(entation)?|semantics?")
+MAP = re.compile(
+    r"albedo|conf(idence)?|depth(map)?s?|disp(arity)?|instances?|masks?|matte|normals?|segm?(entation)?|semantics?|thumbs?"
+)
 """Words in the name of an image that is a map of the photograph with the rest of the name."""
 
 OTHER = re.compile(rf"@eadir|__macosx|thumbnails|(.*[\W\d_])?({MAP.pattern})([\W\d_].*)?", re.IGNORECASE)
@@ -100,8 +102,7 @@ def tell_of_cut(sources: Sequence[SourceImage]) -> None:
     """Log warnings that name photographs of which less than :data:`SHOWN` is in their view, or that do not fill it."""
     shown = {source.name: _shown(source) for source in sources}
     if whole := [source.name for source in sources if source.inside != (0, 0, *source.view_size[::-1])]:
-        told = "they are kept whole, at fewer pixels"
-        _log.warning(_ASPECT, len(whole), len(shown), told, listing(whole))
+        _log.warning(_ASPECT, len(whole), len(shown), "they are kept whole, at fewer pixels", listing(whole))
     if cut := [name for name, share in shown.items() if share < SHOWN]:
         told = f"their middles are used, {100 * min(shown.values()):.0f}% of them"
         _log.warning(_ASPECT, len(cut), len(shown), told, listing(cut))
@@ -162,7 +163,7 @@ def map_files(files: Sequence[Path]) -> list[Path]:
     Of copies in several formats, which differ in their suffix alone, one counts, that in JPEG if there is one.
     """
     words = {file: _words(file) for file in files}
-    photographs = {each for each in words.values() if each and not any(map(MAP.fullmatch, each))}
+    photographs = {each for each in words.values() if not any(map(MAP.fullmatch, each))}
 
     def rests(file: Path) -> set[tuple[str, ...]]:
         own = words[file]

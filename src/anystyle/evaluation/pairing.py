@@ -178,7 +178,8 @@ def pair(
     fits = [sum(map(bool, meant.values())) for meant in meanings]
     best = fits.index(max(fits))
     if not fits[best]:
-        raise UserError(_no_layout(stylized, next(iter(results)), readers))
+        example = min(results, key=lambda path: "gt" in path.split("/"))  # other programs put the photographs there
+        raise UserError(_no_layout(stylized, example, readers))
     reader, found, unmatched = readers[best], dict[Meaning, Path](), list[str]()
     for path, meant in meanings[best].items():
         if len(meant) > 1:

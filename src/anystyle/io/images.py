@@ -70,6 +70,8 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
             hint = '; HEIC photographs need: pip install "anystyle[heic]"'
         elif suffix in (".tif", ".tiff"):
             hint = "; TIFF files of floating-point colours are not read, so save it with 8 or 16 bits"
+        elif suffix in (".360", ".flv", ".insv", ".lrv", ".mxf", ".wmv"):
+            hint = "; save films as .mp4, and those of 360° cameras cut into views"
         raise UserError(f"{what} is not an image that can be read, whatever its suffix{hint}") from None
     except Exception as error:  # decoders of damaged files raise nearly anything
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):

@@ -29,8 +29,6 @@ ONE_FOCAL = frozenset(
 """Models whose parameters begin with ``f, cx, cy``; those of the others begin with ``fx, fy, cx, cy``."""
 _POLYNOMIAL = ONE_FOCAL - {"SIMPLE_DIVISION"} | {"PINHOLE", "OPENCV", "FULL_OPENCV", "FISHEYE", "OPENCV_FISHEYE"}
 """Models whose terms are those of a :class:`Lens`."""
-_PLACES = ("", "sparse", "colmap/sparse", "colmap", "colmap_text", "distorted/sparse")
-"""Of a model below a capture's folder; that of undistorted copies, in ``dense``, is found from there."""
 UNDISTORT = (
     "undistort the photographs first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path OUT"
 )
@@ -52,8 +50,9 @@ class ColmapModel(CameraReader):
         return {}
 
     def find(self, path: Path) -> Path | None:
-        candidates = (path / inside for inside in _PLACES)
-        found = next((candidate for candidate in candidates if _models(candidate)), None)
+        # The model of undistorted copies, in ``dense``, is found from there.
+        places = ("", "sparse", "colmap/sparse", "colmap", "colmap_text", "distorted/sparse")
+        found = next((path / place for place in places if _models(path / place)), None)
         return _models(found)[0] if found is not None and len(_models(found)) == 1 else found
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
