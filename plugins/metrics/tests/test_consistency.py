@@ -39,7 +39,7 @@ def known(scene, views=slice(None)):
     return {"cameras": cameras.select(views), "depth": depth[None, views]}
 
 
-def figures(metric, images, stylized, **known):
+def scores(metric, images, stylized, **known):
     metric.reset()
     metric.update(Comparison(images[None], stylized[None], **known))
     return {name: float(value) for name, value in metric.compute().items()}
@@ -72,7 +72,7 @@ def test_flicker_is_what_the_photographs_exposures_do_not_explain():
 def test_numpy_agrees_on_four_views():
     scene = photographed_wall(4)
     metric, stylized = Consistency(), (scene[0].flip(1) + smooth_image(1, scene[0].shape)) / 2
-    found = figures(metric, scene[0], stylized, **known(scene))
+    found = scores(metric, scene[0], stylized, **known(scene))
     links, side = metric._links[1], min(stylized.shape[-2:])
 
     def mean(values, mask, sigma):
@@ -107,24 +107,24 @@ def test_correspondences_are_found_once_for_a_scene_and_the_next_one_has_its_own
     monkeypatch.setattr(consistency, "link", lambda *args: (calls.append(1), link(*args))[1])
     scene, metric = photographed_wall(3), Consistency()
     for images in (scene[0], 1 - scene[0], scene[0]):
-        figures(metric, scene[0], images, **known(scene))
+        scores(metric, scene[0], images, **known(scene))
     assert len(calls) == 1
-    found = figures(metric, scene[0][:2], scene[0][:2], **known(scene, [0, 1]))
+    found = scores(metric, scene[0][:2], scene[0][:2], **known(scene, [0, 1]))
     assert len(calls) == 2 and found["consistency_flicker"] == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:consistency")
-def test_without_evidence_there_is_no_figure():
+def test_without_evidence_there_is_no_score():
     scene = photographed_wall(3)
     images, metric = scene[0], Consistency()
     with pytest.warns(UserWarning, match="too flat or too blurred"):
-        assert np.isnan(figures(metric, images, torch.full_like(images, 0.5), **known(scene))["consistency"])
+        assert np.isnan(scores(metric, images, torch.full_like(images, 0.5), **known(scene))["consistency"])
     with pytest.warns(UserWarning, match="agree in no pair"):
         wrong = {**known(scene), "depth": scene[2][None] / 2}
-        assert np.isnan(figures(metric, images, images, **wrong)["consistency"])
+        assert np.isnan(scores(metric, images, images, **wrong)["consistency"])
     with pytest.warns(UserWarning, match="flow between the photographs"):
-        assert figures(metric, images, images)["consistency"] < 0.5
-    assert np.isnan(figures(metric, noise(1), noise(1))["consistency"])
+        assert scores(metric, images, images)["consistency"] < 0.5
+    assert np.isnan(scores(metric, noise(1), noise(1))["consistency"])
 
 
 @pytest.mark.parametrize("name", CAPTURES)
@@ -142,7 +142,7 @@ def test_photographs_of_captures_win_and_every_distortion_is_seen(name):
     metric = Consistency()
 
     def of(stylized):
-        return figures(metric, images, stylized.clamp(0, 1), **given)
+        return scores(metric, images, stylized.clamp(0, 1), **given)
 
     base = of(images)
     slides, more = (of(images + strength * texture[:1]) for strength in (0.15, 0.45))
