@@ -43,7 +43,7 @@ cases = {
     "StyleEmbedding is expected": lambda: stylizer.restyle(scene, embedding.vector),
     "of 3 scenes": lambda: stylizer.render(gaussians, cameras.expand(3)),
     "focal length": lambda: stylizer.render(gaussians, Cameras(not_a_number, cameras.intrinsics, cameras.size)),
-    "Gaussians.means": lambda: Gaussians(*(getattr(gaussians, name)[0] for name in Gaussians.__annotations__)),
+    "Gaussians.means": lambda: Gaussians(*(each[0] for each in vars(gaussians).values())),
 }
 for expected, case in cases.items():
     try:

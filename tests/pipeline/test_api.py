@@ -92,10 +92,10 @@ def test_one_encoding_serves_all_styles_and_results_come_when_they_are_asked_for
 
     for name in ("encode", "restyle"):
         monkeypatch.setattr(stylizer, name, recorded(name, getattr(stylizer, name)))
-    results = anystyle.stylize(photographs, ["a", "b", "c"], model=stylizer, views=VIEWS)
+    results = anystyle.stylize(photographs, ["blue", "red", "green"], model=stylizer, views=VIEWS)
     assert len(results) == 3 and calls == ["encode"]
-    assert results[-1].style.name == "c" and calls == ["encode", "restyle"]
-    assert [result.style.name for result in results] == ["a", "b", "c"] and calls.count("restyle") == 4
+    assert results[-1].style.name == "green" and calls == ["encode", "restyle"]
+    assert [result.style.name for result in results] == ["blue", "red", "green"] and calls.count("restyle") == 4
     with pytest.raises(IndexError):
         results[3]
 

@@ -82,7 +82,7 @@ class GaussianParameters:
     def state_dict(self) -> dict[str, Any]:
         """All that is needed to resume; ``torch.save`` can write it."""
         return {
-            "fixed": {name: getattr(self.fixed, name) for name in self.fixed.__dataclass_fields__},
+            "fixed": dict(vars(self.fixed)),
             "units": self.units,
             "parameters": {name: value.detach() for name, value in self.parameters.items()},
             "optimizer": self.optimizer.state_dict(),

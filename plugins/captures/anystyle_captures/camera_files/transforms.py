@@ -22,7 +22,7 @@ from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
 
 _log = logging.getLogger(__name__)
 _WHAT = "transforms.json of cameras"
-_SPLITS = "transforms_*.json"
+_SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 _MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 
@@ -105,13 +105,17 @@ class Transforms(CameraReader):
     def find(self, path: Path) -> Path | None:
         if path.is_dir():
             single = path / "transforms.json"
-            return single if single.is_file() else path if any(path.glob(_SPLITS)) else None
+            return single if single.is_file() else path if _splits(path) else None
         return path if path.suffix == ".json" and path.is_file() else None
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
-        files = sorted(path.glob(_SPLITS)) if path.is_dir() else [path]
+        files = _splits(path) if path.is_dir() else [path]
         cameras = [one for file in files for one in _cameras(file, images)]
         return finished(by_name(cameras, path), images)
+
+
+def _splits(folder: Path) -> list[Path]:
+    return [file for name in _SPLITS if (file := folder / name).is_file()]
 
 
 def _cameras(path: Path, images: Sequence[Path]) -> list[tuple[str, StoredCamera]]:

@@ -297,7 +297,7 @@ def test_a_byte_order_mark_is_no_damage(tmp_path):
 
 def test_blenders_splits_are_one_capture_of_the_size_of_its_images(tmp_path):
     matrices, angle = samples.poses(), 0.7
-    for split, count in (("test", 1), ("train", 2)):
+    for split, count in (("train", 2), ("test", 1)):
         images = samples.write_photographs(tmp_path / split, SIZE, count)
         poses = [matrices.pop(0) @ OPENCV_FROM_OPENGL for _ in images]
         frames = [
@@ -305,7 +305,7 @@ def test_blenders_splits_are_one_capture_of_the_size_of_its_images(tmp_path):
             for image, pose in zip(images, poses, strict=True)
         ]
         (tmp_path / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
-    images = [tmp_path / "test/view_0.png", tmp_path / "train/view_0.png", tmp_path / "train/view_1.png"]
+    images = [tmp_path / "train/view_0.png", tmp_path / "train/view_1.png", tmp_path / "test/view_0.png"]
     for cameras in (read_poses(tmp_path, images), stored_cameras(tmp_path)):
         for camera, pose in zip(cameras.values(), samples.poses(), strict=True):
             np.testing.assert_allclose(camera.world_from_camera, pose, atol=1e-12)
