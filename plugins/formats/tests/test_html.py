@@ -150,6 +150,7 @@ def test_keys_choose_turn_and_go_back(page, tmp_path):
     wait(page, "document.fullscreenElement === null")
 
 
+@pytest.mark.slow
 def test_a_link_shows_the_very_same_picture(page, written, browser, tmp_path):
     page.evaluate("anystyle.choose(1).then(() => anystyle.go(1)).then(() => anystyle.compare(true, 0.3))")
     for key in ("ArrowLeft", "+", "d", "l"):
@@ -278,6 +279,7 @@ def test_it_opens_where_most_is_seen_that_others_see_too():
         assert list(places)[order[best_view(means, torch.ones(len(means)), cameras)]] == "whole"
 
 
+@pytest.mark.slow
 def test_what_no_photograph_shows_from_about_there_is_veiled_as_films_fade_it(page, tmp_path):
     seen, confidence = cameras(), ViewConfidence.of(scene(1, COUNT), cameras())
     page.evaluate("document.body.classList.add('bare')")
