@@ -15,9 +15,8 @@ pytest.importorskip("jupytext", reason="notebooks are paired by jupytext: pip in
 from tests.support.notebooks import FOLDER, NAMES, execute, stored, text
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name.startswith("05") else [pytest.mark.slow]) for name in NAMES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_notebook_runs(name, tmp_path, monkeypatch):
     pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
     monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))

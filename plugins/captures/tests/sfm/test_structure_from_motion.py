@@ -58,6 +58,7 @@ def test_cameras_are_found(orbit, solved):
         assert (pixel > -3).all() and (pixel < np.array([SIZE[1], SIZE[0]]) + 3).all()
 
 
+@pytest.mark.slow
 def test_any_order_of_photographs_gives_the_same_cameras(orbit, solved, tmp_path, monkeypatch):
     """Bit for bit, in the order given; the cache serves every order, except that of frames of a video."""
     order = [3, 5, 0, 4, 1, 2]
