@@ -1,12 +1,14 @@
 """Cameras that lie beside photographs are used without being asked for; photographs without one are left out."""
 
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from anystyle import stylize
+from anystyle.pipeline import cameras
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 
 SMALL = ViewOptions(short_side=56)
@@ -33,7 +35,8 @@ def capture(tmp_path):
 
 
 @pytest.mark.parametrize("use", ["auto", "known"])
-def test_cameras_beside_are_used_and_photographs_without_are_named(capture, caplog, use):
+def test_cameras_beside_are_used_and_photographs_without_are_named(capture, caplog, monkeypatch, use):
+    monkeypatch.setattr(cameras, "read_poses", read := Mock(side_effect=cameras.read_poses))
     options = {"poses": PoseOptions(use), "reconstruction": "feedforward", "views": SMALL}
     encoded = stylize(capture, "blue ink", model="tiny", **options).encoded
     assert [source.name for source in encoded.sources] == ["0000", "0001", "0002", "0004", "0005"]
@@ -42,6 +45,7 @@ def test_cameras_beside_are_used_and_photographs_without_are_named(capture, capl
     np.testing.assert_allclose(steps, [1, 1, 2, 1], atol=1e-4)
     assert "1 of 6 photographs have no stored camera and are left out: 0003" in caplog.text
     assert ("cameras of 5 of 6 photographs are stored beside them, and are used" in caplog.text) == (use == "auto")
+    assert read.call_count == 1
 
 
 def test_cameras_of_few_photographs_are_named_and_not_used(capture, caplog):

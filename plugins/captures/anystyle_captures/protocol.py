@@ -116,8 +116,9 @@ class Captures(Protocol):
                     write_json(temporary / "record.json", self._judge(path, temporary))
             what = f"record of a capture; delete {folder}"
             record: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
-            if self.lpips.name not in record["scores"][KINDS[0]]:
-                raise UserError(f"{folder} was judged by another network than {self.lpips.name}'s; delete it")
+            if self.lpips.name not in record.get("scores", {}).get(KINDS[0], {}):
+                told = f"{folder} was judged by another network than {self.lpips.name}'s, or an earlier version"
+                raise UserError(f"{told}; delete it")
             records[name] = record
             for kind in KINDS:
                 scores = {score: as_number(value) for score, value in record["scores"][kind].items()}

@@ -54,7 +54,7 @@ def test_nothing_is_built_where_photographs_are_transparent(photographs):
 
 
 def test_what_is_ignored_is_neither_learnt_nor_measured_and_other_photographs_fill_it(photographs):
-    """A red score stands elsewhere in each photograph."""
+    """A red figure stands elsewhere in each photograph."""
     images, cameras, _ = photographs
     valid, spoiled = torch.ones(images[:, 0].shape, dtype=torch.bool), images.clone()
     for view in range(9):

@@ -95,7 +95,7 @@ def test_found_cameras_serve_the_backbone_too(stylizer):
 
 
 def walked_through(images):
-    """Photographs with a grey score that stands elsewhere in each."""
+    """Photographs with a grey figure that stands elsewhere in each."""
     images = images.clone()
     height, width = images.shape[-2:]
     for view, image in enumerate(images):
@@ -105,7 +105,7 @@ def walked_through(images):
 
 
 @pytest.mark.parametrize("moves", [False, True])
-def test_a_moving_score_is_reported(stylizer, caplog, moves):
+def test_a_moving_figure_is_reported(stylizer, caplog, moves):
     images, cameras, _ = photographed_wall(num_views=5)
     images = torch.nn.functional.interpolate(images, size=(84, 112), mode="bilinear")
     views = Views(walked_through(images)[None] if moves else images[None], cameras.resized((84, 112)))

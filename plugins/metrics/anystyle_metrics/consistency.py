@@ -288,9 +288,7 @@ class Consistency(Metric):
 
     def update(self, comparison: Comparison) -> None:
         for row in range(len(comparison.stylized)):
-            values = torch.tensor(
-                [*self._row(comparison, row).values()], dtype=torch.float64, device=self.totals.device
-            )
+            values = torch.tensor(self._row(comparison, row), dtype=torch.float64, device=self.totals.device)
             self.totals += values.nan_to_num(0.0)
             self.rows += ~values.isnan()
 
@@ -299,7 +297,7 @@ class Consistency(Metric):
             warnings.warn(f"consistency: {self._lacking}; the scores are nan", stacklevel=2)
         return dict(zip(self.better, (self.totals / self.rows).float(), strict=True))  # nan where there is no row
 
-    def _row(self, comparison: Comparison, row: int) -> dict[str, float]:
+    def _row(self, comparison: Comparison, row: int) -> list[float]:
         """The scores of one style of a scene, in the order of ``better``."""
         photographs, views = (_small(images[row], SIDE) for images in (comparison.content, comparison.stylized))
         links, allowed = self._linked(comparison, row, photographs)
@@ -315,7 +313,7 @@ class Consistency(Metric):
         coverage, share = (values if len(values) else values.new_zeros(1) for values in (coverage, share))
         short = links.overlap >= LONG
         parts = (structure, structure[short], structure[~short], changes, coverage, share)
-        return dict(zip(self.better, (float(part.double().nanmean()) for part in parts), strict=True))
+        return [float(part.double().nanmean()) for part in parts]
 
     def _linked(self, comparison: Comparison, row: int, photographs: Tensor) -> tuple[Links, Tensor]:
         """The verified pairs of a scene and their change of colour, kept for the next style."""

@@ -181,7 +181,7 @@ def complete(commands: Iterable[str], words: Sequence[str]) -> None:
     Args:
         commands: All commands.
         words: As Hydra takes them: ``install=bash``, ``uninstall=bash`` or ``query=bash``, with the line that is being
-            typed in ``COMP"COMP_LINE"``; likewise for zsh and fish.
+            typed in ``COMP_LINE``; likewise for zsh and fish.
     """
     names = list(commands)
     configured = [name for name in names if (paths.CONF / f"{name}.yaml").is_file()]

@@ -72,7 +72,7 @@ def _gathered(tensor: Tensor, group: Any = None) -> list[Tensor]:
 
 
 class Metric(Pluggable, torchmetrics.Metric, ABC):
-    """A score of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor.
+    """A metric. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor.
 
     An author writes ``update(self, comparison)``. It is called with a :class:`Comparison` or, as metrics of
     torchmetrics are, with tensors: ``metric.update(preds, target)``.
@@ -144,7 +144,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
             ax: Matplotlib's axes to draw on.
 
         Returns:
-            Matplotlib's score and axes.
+            Matplotlib's figure and axes.
         """
         return self._plot(val, ax)
 

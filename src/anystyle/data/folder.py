@@ -269,7 +269,8 @@ def _film_of(folder: Path) -> list[Path]:
             f"the {len(raw)} photographs in the folder {folder} are not developed ({_kinds(raw)}); {_DEVELOP}"
         )
     others = _kinds([path for path in folder.glob("[!.]*") if path.suffix and path.is_file()])
-    raise UserError(f"there are no images in the folder {folder}{others and f'; its files are {others}'}")
+    held = f"; its files are {others}" if others else ""
+    raise UserError(f"there are no images in the folder {folder}{held}")
 
 
 _DEVELOP = "save them as JPEG or TIFF with the program of the camera"

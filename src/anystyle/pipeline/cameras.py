@@ -1,7 +1,7 @@
 """Known cameras, such as those stored beside photographs, and placing them in the frame of a scene."""
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,13 +65,17 @@ def from_views(cameras: Cameras | None, names: Sequence[str]) -> KnownCameras:
 
 
 def from_files(
-    views: Views, sources: Sequence[SourceImage], folder: Path | None = None
+    views: Views,
+    sources: Sequence[SourceImage],
+    folder: Path | None = None,
+    stored: Mapping[Path, StoredCamera] | None = None,
 ) -> tuple[Views, tuple[SourceImage, ...], KnownCameras]:
     """The cameras stored beside photographs, and the views and sources undistorted where lenses distort them.
 
-    ``folder`` holds the cameras; the photographs' own folders and the ones above unless it is given.
+    ``folder`` holds the cameras; the photographs' own folders and the ones above unless it is given. ``stored`` are
+    those of :func:`stored_beside`, where they were read already.
     """
-    stored = _stored({source.path.parent: None for source in sources if source.path is not None}, folder)
+    stored = stored or _stored({source.path.parent: None for source in sources if source.path is not None}, folder)
     if not stored:
         searched = f"in {folder}" if folder is not None else "beside the photographs"
         expected = ", ".join(reader.expects for reader in readers())
@@ -98,7 +102,7 @@ def from_files(
     return replace(views, images=images), tuple(undistorted), known
 
 
-def with_stored(given: ReadViews, poses: PoseOptions) -> ReadViews:
+def with_stored(given: ReadViews, poses: PoseOptions, stored: Mapping[Path, StoredCamera] | None = None) -> ReadViews:
     """Views with the cameras that are stored for them, where these are asked for."""
     if poses.use not in ("known", "target"):
         return given
@@ -107,7 +111,7 @@ def with_stored(given: ReadViews, poses: PoseOptions) -> ReadViews:
     if sources[0].path is None:
         known = from_views(views.cameras, names)
     else:
-        views, sources, known = from_files(views, sources, None if poses.folder is None else Path(poses.folder))
+        views, sources, known = from_files(views, sources, None if poses.folder is None else Path(poses.folder), stored)
     if poses.use == "target":
         return replace(given, views=views, sources=sources, targets=known)
     if without := [name for index, name in enumerate(names) if index not in known.indices]:

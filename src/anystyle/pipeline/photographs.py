@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
+from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, StoredCamera, Verdict
 from anystyle.data.folder import files_of, read_originals, read_views
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
@@ -37,7 +37,8 @@ def read_photographs(
     if options.masks is not None:
         masks = find_masks(expanded(options.masks), [path for item in paths for path in files_of(item)])
     estimators, report = catalog().names("pose_estimator"), {}
-    if poses.use == "auto" and _stored_beside(paths, poses):
+    stored = _stored_beside(paths, poses) if poses.use == "auto" else None
+    if stored:
         poses = replace(poses, use="known")
         if reconstruction is None and estimators:
             reconstruction = build(Reconstruction, build(PoseEstimator, estimators[0]).reconstruction)
@@ -71,21 +72,21 @@ def read_photographs(
                 multiple=backbone.patch_size,
                 max_views=_max_views(paths, options, chosen),
             )
-        given = with_stored(ReadViews(views, tuple(sources), chosen, report=report), poses)
+        given = with_stored(ReadViews(views, tuple(sources), chosen, report=report), poses, stored)
     given = replace(given, made_of=_made_of(paths, given.sources))
     return _masked(given, masks, options, stages)
 
 
-def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> bool:
-    """Whether cameras of most photographs are stored beside them; what is found is logged."""
+def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> dict[Path, StoredCamera]:
+    """The cameras that are stored beside most photographs, or else none; what is found is logged."""
     files = [file for path in paths for file in files_of(path)]
     try:
         found = stored_beside(files, None if poses.folder is None else Path(poses.folder))
     except UserError as error:
         _log.warning("cameras beside the photographs are not used: %s", error)
-        return False
+        return {}
     if not found:
-        return False
+        return {}
     used = len(found) >= max(2, len(files) / 2)
     _log.warning(
         "cameras of %d of %d photographs are stored beside them, and are %s",
@@ -93,7 +94,7 @@ def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> bool:
         len(files),
         "used; poses=sfm finds them anew" if used else "not used, for they are too few; poses=known uses them",
     )
-    return used
+    return found if used else {}
 
 
 def _masked(given: ReadViews, masks: Mapping[Path, Path], options: ViewOptions, stages: Stages) -> ReadViews:

@@ -80,10 +80,13 @@ def check_words(config_name: str, words: Sequence[str]) -> None:
     And options of which one is chosen as if they were a group, and with a + words that nothing here reads, which Hydra
     lets pass.
     """
+    answers = _ELSEWHERE["all"] | _ELSEWHERE.get(config_name, {})
     for word in words:
         key, _, value = word.lstrip("+").partition("=")
-        for other, answer in (_ELSEWHERE["all"] | _ELSEWHERE.get(config_name, {})).items():
-            if f"{key}.{value.strip('[]')}.".startswith(f"{other}.") and f"${{{key}}}" not in "".join(words):
+        asked = f"{key}.{value.strip('[]')}."  # a key of that file may end in a value
+        is_own = any(f"${{{key}}}" in other for other in words)  # training.learning_rate=${lr} reads +lr=1e-4
+        for other, answer in answers.items():
+            if asked.startswith(f"{other}.") and not is_own:
                 raise UserError(f"{word}: {answer}")
         if key in (*OPTIONS, "weights") and key not in groups() and not value.startswith(("{", "$")):
             raise UserError(f"{word}: '{key}' has options and no choices; set one of them as {key}.OPTION=VALUE")

@@ -62,7 +62,7 @@ class Gaussians(Given):
         """Write one scene of the batch as a 3DGS PLY file (see :func:`anystyle.io.ply.write`)."""
         from anystyle.io import ply
 
-        notes = [ply.ANTIALIASED] * self.antialiased
+        notes = [ply.ANTIALIASED] if self.antialiased else []
         ply.write(Splats(*(getattr(self, name)[scene] for name in Splats._fields)), Path(path), notes)
 
     def shares(self, other: "Gaussians", names: Iterable[str]) -> bool:

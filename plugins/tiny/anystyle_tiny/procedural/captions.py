@@ -19,7 +19,7 @@ class NamedColor(msgspec.Struct, frozen=True):
 
 
 class Words(msgspec.Struct, frozen=True):
-    """Words for a pattern; ``things`` are scores on a ground of the palette's first colour."""
+    """Words for a pattern; ``things`` are shapes on a ground of the palette's first colour."""
 
     nouns: tuple[str, ...]
     fine: tuple[str, ...] = ("small", "fine", "tiny")
@@ -57,9 +57,9 @@ def describe(draw: Draw, pattern: str, colors: Sequence[int], scale: int, brushw
     lead += [direction] if direction is not None and words.directed else []
     medium = MEDIA[brushwork][below(len(MEDIA[brushwork]))] if below(5) < (1 if brushwork == "print" else 3) else ""
     if words.things and len(names) > 1 and below(2):
-        ground, scores = names[0], join_names(names[1:], below)
+        ground, shapes = names[0], join_names(names[1:], below)
         setting = (f"on {ground}", f"on a {ground} background", f"over {ground}", f"on a {ground} ground")[below(4)]
-        text = " ".join([*lead, scores, noun, setting])
+        text = " ".join([*lead, shapes, noun, setting])
         return _finish(text, medium, below)
     # Without a ground the colours have no order.
     palette = join_names(draw.shuffled(names), below)
