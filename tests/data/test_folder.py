@@ -289,7 +289,7 @@ def test_copies_of_photographs_count_once(tmp_path, caplog):
     for name in copies:
         (tmp_path / f"{name}.jpg").write_bytes((tmp_path / "IMG_1.jpg").read_bytes())
     Image.open(tmp_path / "IMG_1.jpg").save(tmp_path / "IMG_1 (3).png")  # the same pixels in other bytes
-    assert read(tmp_path, max_views=32)[0].names == ("IMG_1", "IMG_2", "IMG_2 (1)", "1", "10")
+    assert read(tmp_path, max_views=32)[0].names == ("IMG_1", "IMG_2 (1)", "IMG_2", "1", "10")
     assert (
         "14 of 19 images in" in caplog.text and "copies of others, and are left out: Copy of IMG_1.jpg" in caplog.text
     )
