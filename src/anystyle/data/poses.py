@@ -22,6 +22,7 @@ UNREAD: Mapping[str, str] = {
     "database.db": "COLMAP's features without a model; colmap mapper makes one (poses=sfm does without)",
     "*.psx": "a project of Metashape; File > Export > Export Cameras writes the XML that is read",
     "*.r[cs]proj": "a project of RealityScan; export a COLMAP model",
+    "cameras*.csv": "a table of RealityScan; export a COLMAP model",
     "*.sfm": "Meshroom's; aliceVision_exportColmap -i FILE.sfm -o colmap writes a COLMAP model",
     "sfm.json": "Meshroom's; aliceVision_exportColmap -i sfm.json -o colmap writes a COLMAP model",
     "sfm_data.[jb]*": "OpenMVG's; openMVG_main_openMVG2Colmap -i sfm_data.bin -o colmap writes a COLMAP model",
