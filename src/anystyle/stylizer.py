@@ -42,7 +42,7 @@ class Stylizer(nn.Module):
         self.style_encoder = style_encoder.requires_grad_(False).eval()
         self.branch = branch
         self.renderer = renderer
-        self.autocast = False  # for `precision=reference`; see pipeline/load.py
+        self.precision = "fp32"  # or one of those of pipeline/load.py, whose weights have been cast
 
     def train(self, mode: bool = True) -> "Stylizer":
         """Set the mode of the style branch; the frozen parts stay in ``eval``."""
@@ -57,9 +57,16 @@ class Stylizer(nn.Module):
 
     @contextlib.contextmanager
     def _precision(self, device: torch.device) -> Iterator[None]:
-        # Otherwise autocast is left to the caller, such as a training.
-        with torch.autocast(device.type, torch.bfloat16) if self.autocast else contextlib.nullcontext():
+        if self.precision != "reference":  # autocast is left to the caller, such as a training
             yield
+            return
+        before = torch.get_float32_matmul_precision()
+        torch.set_float32_matmul_precision("high" if device.type == "cuda" else before)  # TF32, as published
+        try:
+            with torch.autocast(device.type, torch.bfloat16):
+                yield
+        finally:
+            torch.set_float32_matmul_precision(before)
 
     @torch.no_grad()
     def encode(self, views: Views, *, colors: bool = True) -> Scene:
@@ -193,7 +200,7 @@ class Stylizer(nn.Module):
         own = next(self.parameters())
         if tensor.device != own.device or tensor.layout != torch.strided:
             raise UserError(f"{what}: on {tensor.device}, {tensor.layout}; a dense tensor on {own.device} is expected")
-        mixed = self.autocast or torch.is_autocast_enabled(own.device.type)
+        mixed = self.precision == "reference" or torch.is_autocast_enabled(own.device.type)
         if tensor.dtype not in (torch.float32, own.dtype) and (tensor.dtype == torch.float64 or not mixed):
             raise UserError(f"{what}: {tensor.dtype}; this model computes in {own.dtype}; use .to({own.dtype})")
 

@@ -10,7 +10,7 @@ from anystyle.contracts import Placement
 from anystyle.errors import UserError
 from anystyle.io.checkpoint import read_header, save_part
 from anystyle.methods.branch import Branch
-from anystyle.pipeline.load import branch_header, default_device, load_model
+from anystyle.pipeline.load import assemble, assemble_frozen, branch_header, default_device, load_model
 from anystyle.pipeline.request import Request
 from anystyle.registry.catalog import PluginError
 from anystyle.registry.compose import compose
@@ -145,3 +145,16 @@ def test_a_card_that_does_not_compute_is_said_and_the_cpu_taken(monkeypatch, cap
     monkeypatch.setattr(torch, "ones", full)
     assert default_device() == torch.device("cpu")
     assert "the graphics card is not used, and the CPU computes (cuda out of memory)" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("words", "device", "precision"),
+    [((), "cpu", "fp32"), ((), "meta", "reference"), (("precision=fp32",), "meta", "fp32")],
+)
+def test_auto_is_the_published_precision_on_a_card_and_exact_elsewhere(words, device, precision):
+    config = compose("stylize", ["model=tiny", *words])
+    stylizer, _ = assemble_frozen(config, torch.device(device))  # meta stands for a card: not the CPU
+    assert stylizer.precision == precision and stylizer.device.type == device
+    half = {parameter.dtype for parameter in stylizer.backbone.aggregator.parameters()} == {torch.bfloat16}
+    assert half == (precision == "reference")
+    assert assemble(config, learns=True)[0].precision == config.precision  # a training has trainer.precision

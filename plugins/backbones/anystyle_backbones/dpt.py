@@ -1,6 +1,7 @@
 """The dense prediction transformer's decoder (Ranftl et al., arXiv 2103.13413), as geometry networks use it."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NotRequired, TypedDict, Unpack
 
 import torch
@@ -46,11 +47,20 @@ def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, 
 
     Channels are a multiple of 4; ``aspect`` is width over height of the image.
     """
-    half = x.shape[1] // 2
-    columns, rows = (0.1 * uv_waves(line, half).to(x) for line in uv_grid((x.shape[-2], x.shape[-1]), aspect))
-    x[:, :half] += columns[:, None, :]
-    x[:, half:] += rows[:, :, None]
+    columns, rows = _scaled_waves((x.shape[-2], x.shape[-1]), aspect, x.shape[1] // 2, x.device, x.dtype)
+    x[:, : len(columns)].add_(columns)
+    x[:, len(columns) :].add_(rows)
     return x
+
+
+@lru_cache(maxsize=64)
+def _scaled_waves(
+    size: tuple[int, int], aspect: float, channels: int, device: torch.device, dtype: torch.dtype
+) -> tuple[Float[Tensor, "C 1 w"], Float[Tensor, "C h 1"]]:
+    """A tenth of the waves of x and of y, kept: they depend on sizes alone, and take more kernels than a layer."""
+    with torch.inference_mode(False):  # a later training reads them, too
+        columns, rows = (0.1 * uv_waves(line, channels).to(device, dtype) for line in uv_grid(size, aspect))
+        return columns[:, None, :], rows[:, :, None]
 
 
 class ResidualConv(nn.Module):

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
+from anystyle.nn.tokens import constant
 from anystyle.types import Attributes, Cameras, Features, Geometry, Inject, Site, Tokens, untouched
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.dpt import Dpt, by_views
@@ -168,7 +169,7 @@ def centred_cameras(
     """
     height, width = size
     focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
-    last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)
+    last = constant((0.0, 0.0, 0.0, 1.0), origin).expand(*origin.shape[:-1], 1, 4)
     # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
     pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
     zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)

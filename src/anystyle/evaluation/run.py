@@ -221,8 +221,8 @@ def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str,
     if "stylizer" in named:
         from anystyle.pipeline.load import assemble_frozen, make_method
 
-        stylizer, weights = assemble_frozen(config)
-        parts["stylizer"] = stylizer.to(device)
+        stylizer, weights = assemble_frozen(config, device)
+        parts["stylizer"] = stylizer
         encoder = stylizer.style_encoder
         if "method" in named:
             parts["method"] = make_method(config, encoder)

@@ -23,8 +23,9 @@ class Attention(nn.Module):
         self.proj = nn.Linear(dim, dim)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
-        q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each M heads L E
-        q, k = self.q_norm(q), self.k_norm(k)
+        q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).unbind(2)  # each M L heads E
+        # Normalised in this order, so that what attention gives needs no copy to be joined.
+        q, k, v = (part.transpose(1, 2) for part in (self.q_norm(q), self.k_norm(k), v))  # each M heads L E
         if angles is not None:
             q, k = rotate(q, angles), rotate(k, angles)
         # Under autocast the norms leave queries and keys in another precision than values.
@@ -59,14 +60,21 @@ class SwiGlu(nn.Module):
 
 
 class LayerScale(nn.Module):
-    """A learnt gain a channel."""
+    """A residual with a learnt gain a channel."""
 
     def __init__(self, dim: int, initial: float) -> None:
         super().__init__()
         self.gamma = nn.Parameter(torch.full((dim,), initial))
 
-    def forward(self, x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
-        return x * self.gamma
+    def forward(self, x: Float[Tensor, "*batch C"], change: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
+        return torch.addcmul(x, change, self.gamma)
+
+
+class Residual(nn.Module):
+    """A residual as it is."""
+
+    def forward(self, x: Float[Tensor, "*batch C"], change: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
+        return x + change
 
 
 class Block(nn.Module):
@@ -97,14 +105,14 @@ class Block(nn.Module):
         hidden = int(dim * mlp_ratio)
         self.norm1 = nn.LayerNorm(dim, eps=eps)
         self.attn = Attention(dim, heads, qk_norm=qk_norm)
-        self.ls1 = nn.Identity() if layer_scale is None else LayerScale(dim, layer_scale)
+        self.ls1 = Residual() if layer_scale is None else LayerScale(dim, layer_scale)
         self.norm2 = nn.LayerNorm(dim, eps=eps)
         self.mlp = SwiGlu(dim, hidden) if ffn == "swiglu" else Mlp(dim, hidden, dim)
-        self.ls2 = nn.Identity() if layer_scale is None else LayerScale(dim, layer_scale)
+        self.ls2 = Residual() if layer_scale is None else LayerScale(dim, layer_scale)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
-        x = x + self.ls1(self.attn(self.norm1(x), angles))
-        return x + self.ls2(self.mlp(self.norm2(x)))
+        x = self.ls1(x, self.attn(self.norm1(x), angles))
+        return self.ls2(x, self.mlp(self.norm2(x)))
 
 
 class MemoryAttention(nn.Module):

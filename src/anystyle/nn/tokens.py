@@ -1,5 +1,7 @@
 """What transformers read of images: normalised pixels, grids of patches, and their rotary position embedding."""
 
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -12,9 +14,20 @@ IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
+def constant(values: Sequence[float], like: Float[Tensor, "..."]) -> Float[Tensor, " n"]:
+    """Numbers as a tensor with the device and dtype of ``like``, made once: a copy to a card waits for the card."""
+    return _constant(tuple(values), like.device, like.dtype)
+
+
+@lru_cache(maxsize=256)
+def _constant(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Tensor:
+    with torch.inference_mode(False):  # a later training reads it, too
+        return torch.tensor(values, device=device, dtype=dtype)
+
+
 def normalised(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 H W"]:
     """Images in [0, 1], normalised by the ImageNet mean and standard deviation."""
-    mean, std = images.new_tensor(IMAGENET_MEAN), images.new_tensor(IMAGENET_STD)
+    mean, std = constant(IMAGENET_MEAN, images), constant(IMAGENET_STD, images)
     return (images - mean[:, None, None]) / std[:, None, None]
 
 
@@ -40,22 +53,22 @@ class Rotary(NamedTuple):
         return Rotary(self.cos.repeat(times, 1), self.sin.repeat(times, 1))
 
 
-def grid_positions(grid: tuple[int, int], special: int = 1) -> Float[Tensor, "L 2"]:
+def grid_positions(grid: tuple[int, int], special: int = 1, device: torch.device | None = None) -> Float[Tensor, "L 2"]:
     """Row and column of a view's tokens: special tokens stand at (0, 0), patches from (1, 1) on."""
-    rows, columns = grid
-    y, x = torch.meshgrid(torch.arange(rows) + 1.0, torch.arange(columns) + 1.0, indexing="ij")
-    return torch.cat([torch.zeros(special, 2), torch.stack([y, x], dim=-1).flatten(0, 1)])
+    rows, columns = (torch.arange(1.0, 1 + side, device=device) for side in grid)
+    places = torch.cartesian_prod(rows, columns)
+    return torch.cat([places.new_zeros(special, 2), places])
 
 
 def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Float[Tensor, "..."]) -> Rotary:
-    """Angles of tokens at rows and columns ``positions``, with the device and dtype of ``like``.
+    """Angles of tokens at rows and columns ``positions``, on their device, with the dtype of ``like``.
 
     The first half of a head's channels turns with the row, the second with the column; entry ``i`` of a half of ``m``
     channels pairs with entry ``i + m / 2`` and turns by ``position * base ** (-2 i / m)``.
     """
     quarter = dim // 4
-    frequencies = base ** (-torch.arange(quarter, device=like.device, dtype=torch.float32) / quarter)
-    angles = positions.to(like.device)[:, :, None] * frequencies  # L 2 quarter
+    frequencies = base ** (-torch.arange(quarter, device=positions.device, dtype=torch.float32) / quarter)
+    angles = positions[:, :, None] * frequencies  # L 2 quarter
     sin, cos = angles.sin(), angles.cos()
     return Rotary(
         cos=torch.stack([cos, cos], dim=2).flatten(1).to(like), sin=torch.stack([-sin, sin], dim=2).flatten(1).to(like)
@@ -65,4 +78,4 @@ def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Floa
 def rotate(x: Float[Tensor, "*batch L E"], angles: Rotary) -> Float[Tensor, "*batch L E"]:
     """Turn each pair of channels by its token's angle."""
     swapped = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
-    return x * angles.cos.to(x.dtype) + swapped * angles.sin.to(x.dtype)
+    return torch.addcmul(x * angles.cos.to(x.dtype), swapped, angles.sin.to(x.dtype))

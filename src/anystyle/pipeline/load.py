@@ -41,7 +41,7 @@ from anystyle.vision import weights
 _log = logging.getLogger(__name__)
 
 PARTS = ("backbone", "style_encoder", "branch")
-PRECISIONS = ("fp32", "bf16", "reference")
+PRECISIONS = ("auto", "fp32", "bf16", "reference")
 StateDict = Mapping[str, Tensor]
 _SMALLER = "choose a smaller one with model=NAME"
 
@@ -176,10 +176,16 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
     return stylizer, loaded
 
 
-def assemble_frozen(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
-    """As :func:`assemble`, for inference: in ``eval`` mode, without gradients."""
+def assemble_frozen(
+    config: DictConfig, device: torch.device | None = None
+) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
+    """As :func:`assemble`, for inference on a device, by default the CPU: in ``eval`` mode, without gradients."""
+    device = device or torch.device("cpu")
+    if config.precision == "auto":
+        config = config.copy()
+        config.precision = "fp32" if device.type == "cpu" else "reference"
     stylizer, loaded = assemble(config)
-    return stylizer.requires_grad_(False).eval(), loaded
+    return stylizer.requires_grad_(False).eval().to(device), loaded
 
 
 def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
@@ -230,8 +236,7 @@ def load_model(
     """Load the model of a request with its method and reconstruction, but for parts that are in memory already."""
     config, loaded, poses = request.config, {}, "predicted"
     if stylizer is None:
-        stylizer, loaded = assemble_frozen(config)
-        stylizer = stylizer.to(default_device())
+        stylizer, loaded = assemble_frozen(config, default_device())
         poses = "predicted" if stylizer.backbone.trusted_cameras else "auto"
     poses = "known" if stylizer.backbone.needs_cameras else poses
     method = method or make_method(config, stylizer.style_encoder)
@@ -309,7 +314,7 @@ def build_and_load(
     stylizer = Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer)
     for module in modules_in_bf16(config.precision, backbone, branch):
         module.to(torch.bfloat16)
-    stylizer.autocast = config.precision == "reference"
+    stylizer.precision = config.precision
     return stylizer, headers
 
 
@@ -345,11 +350,12 @@ def modules_in_bf16(precision: str, backbone: Backbone, branch: StylePredictor |
     """The modules whose weights a precision stores in bf16; geometry is always computed in fp32.
 
     ``bf16``: the transformers and Gaussian heads, half the memory. ``reference``: as the published code runs on a GPU,
-    the frozen transformers, and the rest under autocast.
+    the frozen transformers, and the rest under autocast, with TF32 in what is left. ``auto``, where nothing has chosen
+    for a device, as in a training: none.
     """
     if precision not in PRECISIONS:
         raise UserError(f"precision is {precision!r}; choose from {', '.join(PRECISIONS)}")
-    parts: list[nn.Module] = [] if precision == "fp32" else [backbone.embedder, backbone.aggregator]
+    parts: list[nn.Module] = [] if precision in ("auto", "fp32") else [backbone.embedder, backbone.aggregator]
     if precision == "bf16":
         parts += [backbone.gaussian_head, *([branch] if branch else [])]
     return parts

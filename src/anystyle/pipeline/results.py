@@ -178,6 +178,7 @@ class StylizeRun:
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),
             **self.stages.report(),
+            "precision": encoded.stylizer.precision,
             "weights": self.model.weights,
             "seed": self.request.seed,
             "config": without_folders(self.request.config),

@@ -132,7 +132,7 @@ class Aggregator(contracts.Aggregator):
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
         """Turn the stem into tapped features; no other layer's output is kept."""
         batch, views = stem.data.shape[:2]
-        places = grid_positions(stem.grid, stem.special)
+        places = grid_positions(stem.grid, stem.special, stem.data.device)
         within = rotary(places, self.head_dim, base=self.rope_base, like=stem.data)
         apply = partial(run, recompute=self.checkpointing and self.training)
         across = within.repeat(views)

@@ -11,6 +11,7 @@ from anystyle import contracts
 from anystyle.geometry.harmonics import damping, rotation_matrices
 from anystyle.geometry.transforms import multiply, wxyz_from_matrix, wxyz_from_xyzw
 from anystyle.geometry.warp import pixels
+from anystyle.nn.tokens import constant
 from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry
 
 
@@ -88,7 +89,7 @@ class Adapter(contracts.Adapter):
 def harmonics(color: Float[Tensor, "B V H W 3 K"], cameras: Cameras) -> Float[Tensor, "B V H W K 3"]:
     """Damped coefficients, rotated into the world, coefficient-major."""
     degree = round(color.shape[-1] ** 0.5) - 1
-    damped = color * color.new_tensor(damping(degree))
+    damped = color * constant(damping(degree), color)
     if degree == 0:  # the same from every direction
         return damped.mT
     rotation = cameras.world_from_camera[..., :3, :3]

@@ -112,18 +112,19 @@ class Aggregator(contracts.Aggregator):
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
         """Turn the stem into tapped features."""
         views = stem.data.shape[1]
-        places = grid_positions(stem.grid)
+        places = grid_positions(stem.grid, device=stem.data.device)
         # Across views, as published: the leading token is at (0, 0), every patch at (1, 1).
         within, across = (
             rotary(each, self.head_dim, base=self.rope_base, like=stem.data) for each in (places, places.clamp_max(1))
         )
+        across = across.repeat(views)
         apply = partial(run, recompute=self.checkpointing and self.training)
         tokens, local = stem, stem.data
         features: dict[int, Tokens] = {}
         for layer in self.layers:
             tokens, block = inject(f"aggregator/{layer}", tokens), self.blocks[str(layer)]
             if layer % 2:
-                joint = apply(block, tokens.data.flatten(1, 2), across.repeat(views))  # B VP C
+                joint = apply(block, tokens.data.flatten(1, 2), across)  # B VP C
                 tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
             else:
                 local = by_view(partial(apply, block, angles=within), tokens.data)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block, DecoderBlock, start_as_dino
-from anystyle.nn.tokens import Rotary, grid_of, grid_positions, rotary
+from anystyle.nn.tokens import Rotary, constant, grid_of, grid_positions, rotary
 from anystyle.types import Cameras, Features, Inject, Site, Tokens, untouched
 
 _log = logging.getLogger(__name__)
@@ -22,8 +22,8 @@ EPSILON = 1e-6
 
 def angles_of(tokens: Tokens, *, dim: int, base: float) -> Rotary:
     """Angles of a view's tokens: patches count from (0, 0), special tokens stand below the first column."""
-    below = torch.tensor([[float(tokens.grid[0]), 0.0]]).repeat(tokens.special, 1)
-    places = torch.cat([below, grid_positions(tokens.grid, special=0) - 1])
+    places = grid_positions(tokens.grid, tokens.special, tokens.data.device) - 1
+    places[: tokens.special] = constant((float(tokens.grid[0]), 0.0), places)
     return rotary(places, dim, base=base, like=tokens.data)
 
 

@@ -87,12 +87,12 @@ class CrossBlock(nn.Module):
     ) -> tuple[Float[Tensor, "B V P C"], Float[Tensor, "B S C"]]:
         """The tokens of views and of the style behind this block."""
         start, places = (1, angles.views) if self.across else (0, angles.view)
-        x = x + self.ls1(self.attn(self.norm1(x).flatten(start, start + 1), places).view_as(x))
+        x = self.ls1(x, self.attn(self.norm1(x).flatten(start, start + 1), places).view_as(x))
         if self.updates_style:
-            style = style + self.ls4(self.attn2(self.norm3(style), angles.style))
+            style = self.ls4(style, self.attn2(self.norm3(style), angles.style))
         # Each token attends for itself, so all views of a scene are one sequence.
-        x = x + self.ls2(self.cross_attn(self.qnorm1(x).flatten(1, 2), self.kvnorm1(style), angles).view_as(x))
-        return x + self.ls3(self.mlp(self.norm2(x))), style
+        x = self.ls2(x, self.cross_attn(self.qnorm1(x).flatten(1, 2), self.kvnorm1(style), angles).view_as(x))
+        return self.ls3(x, self.mlp(self.norm2(x))), style
 
 
 class StyleAggregator(nn.Module):
@@ -132,8 +132,8 @@ class StyleAggregator(nn.Module):
         registers, patches = self.register_token[:, 0], style.patches[:, 0]
         styles = torch.cat([registers.expand(len(patches), -1, -1).to(patches.dtype), patches], dim=1)
         turned = partial(rotary, dim=self.head_dim, base=100.0, like=stem.data)
-        view = turned(grid_positions(stem.grid, stem.special))
-        of_style = turned(grid_positions(style.grid, registers.shape[1]))
+        view = turned(grid_positions(stem.grid, stem.special, stem.data.device))
+        of_style = turned(grid_positions(style.grid, registers.shape[1], stem.data.device))
         angles = Angles(view, view.repeat(stem.data.shape[1]), of_style)
         tapped, tokens = [], stem
         for number, layer in enumerate(self.layers):

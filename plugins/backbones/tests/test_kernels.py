@@ -1,0 +1,60 @@
+"""What a card is asked for: how many kernels there are, and that none of them waits for the host."""
+
+from contextlib import nullcontext
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+
+from anystyle.nn.attention import Block
+from anystyle.nn.tokens import grid_positions, rotary
+from tests.support.backbone_cases import network, views
+
+NO_KERNEL = {"empty", "empty_strided", "new_empty", "new_empty_strided", "empty_like", "detach", "_unsafe_view"}
+
+
+class Kernels(TorchDispatchMode):
+    """Counts what is computed; views and metadata are not. With a ``device``, nothing may be made on another one."""
+
+    def __init__(self, device: str | None = None) -> None:
+        super().__init__()
+        self.device, self.count = device, 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result, name = func(*args, **(kwargs or {})), func.overloadpacket.__name__
+        assert name != "_local_scalar_dense" or self.device is None, "a value is read back"
+        for leaf in tree_leaves(result) if self.device else ():
+            assert not isinstance(leaf, Tensor) or leaf.device.type == self.device, f"{name} made {leaf.device}"
+        is_view = any(each.alias_info and not each.alias_info.is_write for each in func._schema.returns)
+        self.count += not is_view and name not in NO_KERNEL
+        return result
+
+
+@torch.no_grad()
+def test_a_block_is_few_kernels() -> None:
+    """Four products, four norms, attention, GELU, two residuals, and three for each rotation."""
+    block, tokens = Block(32, 2, mlp_ratio=4.0, layer_scale=0.1, qk_norm=True), torch.randn(2, 7, 32)
+    angles = rotary(grid_positions((2, 3)), 16, base=100.0, like=tokens)
+    block(tokens, angles)
+    with Kernels() as kernels:
+        block(tokens, angles)
+    assert kernels.count == 4 + 4 + 1 + 1 + 2 + 2 * 3
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", ["anysplat", "depth_anything"])
+def test_nothing_of_a_network_comes_from_the_host(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())  # it does not know the meta device
+    backbone = network(name)
+    given = views(2, patch=backbone.patch_size)
+    backbone.encode(given)  # keeps what depends on sizes alone
+    backbone, images = backbone.to("meta"), given.images.to("meta")
+    for warm in (True, False):
+        with Kernels(None if warm else "meta"):
+            stem = backbone.embedder(images)
+            features = backbone.aggregator(stem)
+            backbone.geometry_head(features, images)
+            backbone.gaussian_head(features, images)
