@@ -241,7 +241,7 @@ DAMAGE = {
     ],
     "table": [(",0.0", ",x", "cannot be read"), ("view_0.png,", "view_0.png,1,", "a row of 17 values for 16 columns")],
     "transforms": [
-        ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* cut them into views"),
+        ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* poses=sfm cuts them"),
         ('"OPENCV"', '"FOV"', "camera_model FOV is not one of"),
         ("[[0.9999999999999999,", "[[-0.9999999999999999,", "a pose mirrors: its axes are left-handed"),
     ],
