@@ -3,7 +3,6 @@
 import re
 import tomllib
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,9 @@ from yaml import YAMLError
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.registry.builtin import MANY, OPTIONS
-from anystyle.registry.catalog import Plugin, PluginError, catalog, kinds
+from anystyle.registry.catalog import Plugin, catalog, kinds
 from anystyle.registry.packages import arguments, groups, preset_folders, presets
-from anystyle.registry.schema import literal, node
+from anystyle.registry.schema import literal
 from anystyle.registry.source import register
 
 VERSION_BASE: dict[str, Any] = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}
@@ -216,12 +215,8 @@ def choices(group: str) -> list[str]:
 def _with_option(group: str, message: str) -> list[str]:
     """The choices of a group that have the option of which Hydra says that it could not be overridden, or all."""
     option = re.search(rf"'{group}\.(\w+)", message)
-    plugins = (catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ()))
-    having: list[str] = []
-    for plugin in plugins:
-        with suppress(PluginError):
-            having += [plugin.name] if option and option[1] in node(plugin) else []
-    return having or choices(group)
+    plugins = [catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ())]
+    return [each.name for each in plugins if option and option[1] in (arguments(each) or ())] or choices(group)
 
 
 def _message(error: BaseException) -> str:
