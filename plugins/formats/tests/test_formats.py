@@ -169,10 +169,10 @@ def test_what_a_file_cannot_hold_is_one_line(tmp_path, caplog):
         ),
     ):
         caplog.clear()
-        with atomic_directory(tmp_path / "out") as folder:
+        with atomic_directory(tmp_path / name) as folder:
             export(given, folder / f"scene.{name}", name)
         assert len(caplog.messages) == len(lines) and all(line in caplog.text for line in lines), caplog.messages
-        assert all(line.startswith(f"{tmp_path / 'out' / 'scene'}.{name}: ") for line in caplog.messages)
+        assert all(line.startswith(f"{tmp_path / name / 'scene'}.{name}: ") for line in caplog.messages)
     export(full, tmp_path / "scene.ply", "ply")
     torch.testing.assert_close(Gaussians.load(tmp_path / "scene.ply").harmonics, full.harmonics)
 
