@@ -117,7 +117,7 @@ def completed(words: Sequence[str]) -> list[str]:
     keys = [word.partition("=")[0] for word in words]
     for group in (group for group in UNCHOSEN if group not in keys):
         given = {key.split(".")[1] for key in keys if key.startswith(f"{group}.")}
-        having = [name for name in catalog().names(group) if given <= {*node(catalog().find(group, name))}]
+        having = [name for name in catalog().names(group) if given <= (arguments(catalog().find(group, name)) or set())]
         words += [f"{group}={having[0]}"] if given and len(having) == 1 else []
     return words
 
