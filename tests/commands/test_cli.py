@@ -209,9 +209,9 @@ def test_a_command_runs_with_flags_and_overrides(command):
         (["placement=haed"], "Could not find 'placement/haed'. Did you mean 'head'? Available in 'placement': aggr"),
         (["placment=head"], "Could not override 'placment': Key 'placment' is unknown. Did you mean 'placement'?"),
         (
-            ["reconstruction.quality=best"],
-            "Could not override 'reconstruction.quality': Key 'reconstruction' is unknown; "
-            "choose one first: reconstruction=fit",
+            ["reconstruction.qualty=best"],
+            "Could not override 'reconstruction.qualty': Key 'reconstruction' is unknown; "
+            "choose one first: reconstruction=f",
         ),
         (
             ["placement=full", "placement.every=1"],
@@ -391,6 +391,7 @@ def test_compose_inside_a_command_and_its_errors(tmp_path):
 
 def test_messages():
     assert message(UserError("a\n b")) == "a b" and message(ValueError("a bug")) is None
+    assert message(OSError(28, "No space", "out/.partial-x1/a.ply")) == "out/a.ply: No space"
     assert message(FileNotFoundError(2, "No such file or directory", "x.jpg")) == "x.jpg: No such file or directory"
     assert message(MissingExtra('reports need: pip install "anystyle[report]"')) is not None
     assert message(ImportError("cannot import name 'x'")) is None

@@ -3,7 +3,6 @@
 import re
 import tomllib
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +18,18 @@ from yaml import YAMLError
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.registry.builtin import MANY, OPTIONS
-from anystyle.registry.catalog import Plugin, PluginError, catalog, kinds
+from anystyle.registry.catalog import Plugin, catalog, kinds
 from anystyle.registry.packages import arguments, groups, preset_folders, presets
-from anystyle.registry.schema import literal, node
+from anystyle.registry.schema import literal
 from anystyle.registry.source import register
 
 VERSION_BASE: dict[str, Any] = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}
 """Hydra 1.3 takes the defaults of 1.1 where it is not told otherwise; Hydra 1.4 warns where it is told."""
 ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 """What Hydra and OmegaConf raise."""
+
+UNCHOSEN = ("reconstruction",)
+"""Groups of which no configuration chooses a plugin."""
 
 _UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
 """How Hydra says that one of several choices of a group is not there; of the only choice it raises what has options."""
@@ -54,7 +56,7 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
     folder = str((conf or paths.CONF).absolute())
     try:
         with initialize_config_dir(folder, job_name=config_name, **VERSION_BASE):
-            return hydra_compose(config_name, overrides=with_plugins(overrides))
+            return hydra_compose(config_name, overrides=completed(overrides))
     except Exception as error:
         raise refused(error) from error
 
@@ -105,9 +107,19 @@ def idle(config: DictConfig) -> set[str]:
     return {name for name, term in (config.get("loss") or {}).items() if name in names or "_target_" not in term}
 
 
-def with_plugins(words: Sequence[str]) -> list[str]:
-    """The same words; a search path of the user's, which replaces a configuration's own, also has the plugins."""
-    return [re.sub(r"^(\+*hydra\.searchpath=\[(?!.*anystyle://).+)\]$", r"\1,anystyle://]", word) for word in words]
+def completed(words: Sequence[str]) -> list[str]:
+    """The same words with what goes without saying.
+
+    A search path of the user's, which replaces a configuration's own, also has the plugins. Options of a group of
+    :data:`UNCHOSEN` choose the one plugin that has them.
+    """
+    words = [re.sub(r"^(\+*hydra\.searchpath=\[(?!.*anystyle://).+)\]$", r"\1,anystyle://]", word) for word in words]
+    keys = [word.partition("=")[0] for word in words]
+    for group in (group for group in UNCHOSEN if group not in keys):
+        given = {key.split(".")[1] for key in keys if key.startswith(f"{group}.")}
+        having = [name for name in catalog().names(group) if given <= (arguments(catalog().find(group, name)) or set())]
+        words += [f"{group}={having[0]}"] if given and len(having) == 1 else []
+    return words
 
 
 def check_choices(words: Sequence[str]) -> None:
@@ -216,12 +228,8 @@ def choices(group: str) -> list[str]:
 def _with_option(group: str, message: str) -> list[str]:
     """The choices of a group that have the option of which Hydra says that it could not be overridden, or all."""
     option = re.search(rf"'{group}\.(\w+)", message)
-    plugins = (catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ()))
-    having: list[str] = []
-    for plugin in plugins:
-        with suppress(PluginError):
-            having += [plugin.name] if option and option[1] in node(plugin) else []
-    return having or choices(group)
+    plugins = [catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ())]
+    return [each.name for each in plugins if option and option[1] in (arguments(each) or ())] or choices(group)
 
 
 def _message(error: BaseException) -> str:
