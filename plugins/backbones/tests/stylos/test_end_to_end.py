@@ -82,8 +82,8 @@ def watched(branch: StylosBranch, scene: Scene, embedding: StyleEmbedding) -> di
     hooks = [
         keep(block.kvnorm1, "style_tokens", lambda given, _: given[0]),
         keep(block.qnorm1, "after_self_attention", lambda given, _: given[0]),
-        keep(block.ls2, "cross_attention_update", lambda _, result: result),
-        keep(block.ls3, "mlp_update", lambda _, result: result),
+        keep(block.ls2, "cross_attention_update", lambda given, result: result - given[0]),
+        keep(block.ls3, "mlp_update", lambda given, result: result - given[0]),
         keep(block, "output", lambda _, result: result[0]),
     ]
     with torch.no_grad():
