@@ -222,3 +222,6 @@ def test_the_command_writes_a_folder_or_the_file_that_it_is_told(tmp_path, capsy
         command.main([str(tmp_path / "scene.ply"), "--out", str(tmp_path / out), "video.frames=2", "video.height=48"])
         assert capsys.readouterr().out.strip().endswith(film)
         assert len(frames_of(tmp_path / film)) == 2
+    (tmp_path / "transforms.json").unlink()  # of a splat without cameras they are chosen, as they are for styles
+    command.main([str(tmp_path / "scene.ply"), "--out", str(tmp_path / "b.mp4"), "video.frames=2", "video.height=48"])
+    assert len(frames_of(tmp_path / "b.mp4")) == 2

@@ -17,8 +17,9 @@ from anystyle.pipeline.beside import with_stored_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.film import Film
 from anystyle.pipeline.load import default_device
+from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.request import file_of
-from anystyle.pipeline.saved import read_unturned
+from anystyle.pipeline.saved import PAINTED, cameras_of, made_at, read_unturned
 from anystyle.registry.build import build
 from anystyle.registry.compose import options
 
@@ -53,6 +54,10 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     path = file_of(arguments.scene)
     given = read_unturned(path, splat)
     saved = with_stored_cameras(in_axes("opencv", given), path, splat.folder, given.up)
+    if not saved.names:
+        side = made_at(path) or PAINTED
+        cameras, sources, _ = cameras_of(path, saved, ViewOptions(), splat, render, 2, side, given.up)
+        saved = replace(saved, cameras=cameras, names=tuple(each.name for each in sources), photographed=False)
     titles = [title for title, _ in saved.styles]
     if arguments.style not in (None, *titles):
         raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")
