@@ -1,4 +1,5 @@
 import logging
+import shutil
 
 import av
 import numpy as np
@@ -302,6 +303,21 @@ def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
     (tmp_path / "photos" / "._a.png").write_bytes(b"resource fork")
     views, _ = read(tmp_path, max_views=2)
     assert views.images.shape[1] == 2 and caplog.text == ""
+
+
+def test_a_folder_that_is_named_as_maps_may_hold_the_only_photographs(tmp_path, caplog):
+    for name in ("normal/IMG_1.png", "normal/IMG_2.png", "photos/a.png", "depth/a.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        save(tmp_path / name)
+    assert read(tmp_path)[0].names == ("a",)  # depth has its names, and is silent
+    assert caplog.messages == [
+        f"the images in {tmp_path / 'normal'} are left out, for its name is that of maps of photographs"
+    ]
+    caplog.clear()
+    for folder in ("photos", "depth"):
+        shutil.rmtree(tmp_path / folder)
+    assert read(tmp_path)[0].names == ("IMG_1", "IMG_2")
+    assert "normal is named as maps of photographs are, and read as photographs" in caplog.text
 
 
 def test_a_folder_of_one_film_is_that_film(tmp_path):
