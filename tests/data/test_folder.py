@@ -314,8 +314,8 @@ def test_a_folder_that_is_named_as_maps_may_hold_the_only_photographs(tmp_path, 
         f"the images in {tmp_path / 'normal'} are left out, for its name is that of maps of photographs"
     ]
     caplog.clear()
-    for folder in ("photos", "depth"):
-        shutil.rmtree(tmp_path / folder)
+    shutil.rmtree(tmp_path / "photos")
+    shutil.rmtree(tmp_path / "depth")
     assert read(tmp_path)[0].names == ("IMG_1", "IMG_2")
     assert "normal is named as maps of photographs are, and read as photographs" in caplog.text
 
