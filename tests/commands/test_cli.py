@@ -103,7 +103,6 @@ def test_listing_imports_neither_torch_nor_a_plugin(words):
 MISTYPED = {
     "training.lrr=1": "'training.lrr': Key 'lrr' is no option of training. There are: ",
     "trainer.max_stepss=3": "'trainer.max_stepss': Key 'max_stepss' is no option of trainer. Did you mean 'max_steps'?",
-    "scenes=folder scenes.rooot=x": "'scenes.rooot': Key 'rooot' is no option of scenes. Did you mean 'root'?",
     "loss.style.weigt=1": "'loss.style.weigt': Key 'weigt' is no option of loss. Did you mean 'weight'?",
     "vews.take=3": "'vews.take': Key 'vews' is unknown. Did you mean 'views'?",
     "-cd own styles=foldr": "'styles/foldr'. Did you mean 'folder'?",
@@ -116,8 +115,7 @@ def test_mistyped_keys_are_answered_before_torch_is_imported(tmp_path):
     (tmp_path / "own" / "styles" / "mine.yaml").write_text("defaults: [folder]\n")
     code = (
         "import sys; from anystyle.cli.launch import main\nfrom anystyle.errors import UserError\n"
-        f"for words in {[*MISTYPED]!r}:\n"
-        "    sys.argv = ['anystyle', 'experiment=tiny_style', *words.split()]\n"
+        f"for words in {[*MISTYPED]!r}:\n    sys.argv = ['', 'experiment=tiny_style', *words.split()]\n"
         "    try: main('train', print)\n    except SystemExit: pass\n"
         "print('torch' in sys.modules)"
     )
