@@ -10,9 +10,8 @@ from anystyle.geometry.transforms import matrix_from_vector
 from anystyle_captures import fit_loop
 from anystyle_captures.fit_loop import Exposures, FitLoop, FitOptions, InitialScene
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo, lift
-from anystyle_captures.stereo import StereoDepth
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.known_scene import photographed_wall, rig
+from tests.support.known_scene import photographed_wall, rig, stereo_of
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 
@@ -25,7 +24,7 @@ def photographs():
 def initial(photographs, views=(0, 1, 2, 4, 5, 6), num_gaussians=900):
     images, cameras, depth = photographs
     index = list(views)
-    stereo = StereoDepth(depth[index], torch.ones_like(depth[index]), torch.ones(depth[index].shape, dtype=torch.int32))
+    stereo = stereo_of(depth[index])
     generator = torch.Generator().manual_seed(0)
     return from_stereo(
         images[index], cameras.select(index), stereo, num_gaussians=num_gaussians, unsupported=0.0, generator=generator
@@ -54,7 +53,7 @@ def test_only_supported_pixels_are_lifted(photographs):
     images, cameras, depth = photographs
     support = torch.zeros(depth.shape, dtype=torch.int32)
     support[:, :20] = 2
-    stereo = StereoDepth(depth, torch.ones_like(depth), support)
+    stereo = stereo_of(depth, support)
     generator = torch.Generator().manual_seed(0)
     lifted = from_stereo(images, cameras, stereo, num_gaussians=2000, unsupported=0.0, generator=generator)
     assert lifted.pixels[:, 1].max() < 20
@@ -120,6 +119,29 @@ def test_a_step_leaves_out_some_gaussians_and_the_others_stand_in(photographs):
     torch.testing.assert_close(drawn[-1], fit_loop.OPACITY / 0.8 * kept)
 
 
+def test_a_fine_step_sees_the_rows_on_one_side_of_a_cut(photographs):
+    """As the whole photograph shows them, each about as often as any other."""
+    images, cameras, _ = photographs
+    sizes, height = [], cameras.size[0]
+
+    def renderer(gaussians, seen):
+        sizes.append(seen.size[0])
+        return RENDERER(gaussians, seen)
+
+    options = FitOptions(num_steps=12, half_resolution=0.5)
+    run = FitLoop(images, cameras, InitialScene(initial(photographs)), renderer, options)
+    run.run()
+    assert set(sizes[1:7]) == {height // 2} and all(height // 4 <= size <= 3 * height // 4 for size in sizes[7:13])
+    rows, seen = slice(7, 25), cameras.select([3])
+    with torch.no_grad():
+        whole, part = (RENDERER(run.gaussians(), each).color for each in (seen, fit_loop.rows_of(seen, rows)))
+    # Gaussians beside the image are stretched a little otherwise.
+    torch.testing.assert_close(part, whole[..., rows, :], rtol=0, atol=5e-3)
+    cuts = [run.rows() for _ in range(2000)]
+    shares = [sum(cut.start <= row < cut.stop for cut in cuts) / len(cuts) for row in (0, 9, 20, 30, 39)]
+    assert all(abs(share - 0.5) < 0.05 for share in shares)
+
+
 def test_what_shows_nothing_is_removed(photographs, monkeypatch):
     monkeypatch.setattr(fit_loop, "PRUNE_EVERY", 1)
     images, cameras, _ = photographs
@@ -138,7 +160,7 @@ def test_what_shows_nothing_is_removed(photographs, monkeypatch):
 def test_a_view_that_looks_past_the_photographs_sees_no_hole(photographs):
     """Beside what they show, the backdrop goes on in the colours of their borders."""
     images, cameras, depth = photographs
-    stereo = StereoDepth(depth, torch.ones_like(depth), torch.ones(depth.shape, dtype=torch.int32))
+    stereo = stereo_of(depth)
     behind = backdrop(images, cameras, stereo, num_gaussians=400, generator=torch.Generator().manual_seed(0))
     views, rows, columns = behind.pixels.unbind(1)
     assert torch.equal(behind.colors, images[views, :, rows, columns])
