@@ -100,6 +100,34 @@ def test_listing_imports_neither_torch_nor_a_plugin(words):
     assert done.stdout.splitlines()[-1] == "IMPORTED []"
 
 
+MISTYPED = {
+    "training.lrr=1": "'training.lrr': Key 'lrr' is no option of training. There are: ",
+    "trainer.max_stepss=3": "'trainer.max_stepss': Key 'max_stepss' is no option of trainer. Did you mean 'max_steps'?",
+    "scenes=folder scenes.rooot=x": "'scenes.rooot': Key 'rooot' is no option of scenes. Did you mean 'root'?",
+    "loss.style.weigt=1": "'loss.style.weigt': Key 'weigt' is no option of loss. Did you mean 'weight'?",
+    "vews.take=3": "'vews.take': Key 'vews' is unknown. Did you mean 'views'?",
+    "-cd own styles=foldr": "'styles/foldr'. Did you mean 'folder'?",
+    "hydra.searchpath=[file://own] styles=minee": "'styles/minee'. Did you mean 'mine'?",
+}
+
+
+def test_mistyped_keys_are_answered_before_torch_is_imported(tmp_path):
+    (tmp_path / "own" / "styles").mkdir(parents=True)
+    (tmp_path / "own" / "styles" / "mine.yaml").write_text("defaults: [folder]\n")
+    code = (
+        "import sys; from anystyle.cli.launch import main\nfrom anystyle.errors import UserError\n"
+        f"for words in {[*MISTYPED]!r}:\n"
+        "    sys.argv = ['anystyle', 'experiment=tiny_style', *words.split()]\n"
+        "    try: main('train', print)\n"
+        "    except SystemExit: pass\n"
+        "print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout == "False\n"
+    for line, told in zip(done.stderr.splitlines(), MISTYPED.values(), strict=True):
+        assert told in line
+
+
 def test_help_lists_every_command_that_exists():
     done = call("--help")
     assert done.returncode == 0
@@ -185,7 +213,10 @@ def test_a_command_runs_with_flags_and_overrides(command):
             "Could not override 'reconstruction.quality': Key 'reconstruction' is unknown; "
             "choose one first: reconstruction=fit",
         ),
-        (["placement=full", "placement.every=1"], "Could not override 'placement.every': Key 'every' not in 'Full'"),
+        (
+            ["placement=full", "placement.every=1"],
+            "Could not override 'placement.every': Key 'every' is no option of placement",
+        ),
         (["placement=full", "placement.every_layer=x"], "Error merging override placement.every_layer=x: Value 'x'"),
         (["seed=[1"], "cannot read the override 'seed=[1': "),
         (["seed=1,2"], "Ambiguous value for argument 'seed=1,2'"),
@@ -261,6 +292,15 @@ def test_a_folder_of_configurations_is_read(command, tmp_path):
         assert command(flag, "more", "placement=mine", "seed=4") == (0, "JOB Full 4 [] []\n", "")
     status, _, err = command("-cd", "absent", "placement=mine")
     assert status == 2 and err.startswith("anystyle: error: ") and "absent" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [(), ("-m", "seed=1,2")])
+def test_a_file_that_changes_the_folder_is_refused(command, tmp_path, words):
+    (tmp_path / "more" / "extra").mkdir(parents=True)
+    (tmp_path / "more" / "extra" / "here.yaml").write_text("# @package _global_\nhydra: {job: {chdir: true}}\n")
+    status, out, err = command("-cd", "more", "+extra=here", *words)
+    assert (status, out) == (2, "")
+    assert err.endswith("results are in a folder of the job's all the same\n") and "hydra.job.chdir: true" in err
 
 
 def test_a_callback_in_a_folder_of_configurations_does_not_run(command, tmp_path):
@@ -351,6 +391,7 @@ def test_compose_inside_a_command_and_its_errors(tmp_path):
 
 def test_messages():
     assert message(UserError("a\n b")) == "a b" and message(ValueError("a bug")) is None
+    assert message(OSError(28, "No space", "out/.partial-x1/a.ply")) == "out/a.ply: No space"
     assert message(FileNotFoundError(2, "No such file or directory", "x.jpg")) == "x.jpg: No such file or directory"
     assert message(MissingExtra('reports need: pip install "anystyle[report]"')) is not None
     assert message(ImportError("cannot import name 'x'")) is None

@@ -280,6 +280,21 @@ def test_maps_of_photographs_are_no_photographs(tmp_path, caplog, photographs, o
     assert (count in caplog.text) == bool(others)
 
 
+def test_copies_of_photographs_count_once(tmp_path, caplog):
+    for name in ("IMG_1.jpg", "IMG_2.jpg", "IMG_2 (1).jpg", "10.jpg"):
+        save(tmp_path / name, shade=len(name) * 15)  # IMG_2 (1) is another photograph
+    (tmp_path / "1.jpg").write_bytes((tmp_path / "10.jpg").read_bytes())  # named as no copy
+    copies = ["IMG_1 (1)", "IMG_1(2)", "IMG_1 - Copy", "IMG_1 - Copy (2)", "IMG_1 copy", "IMG_1 copy 2", "IMG_1_copy"]
+    copies += ["IMG_1 (another copy)", "Copy of IMG_1", "IMG_1 2", "IMG_1~3", "IMG_1 - Kopie", "IMG_1 - 副本"]
+    for name in copies:
+        (tmp_path / f"{name}.jpg").write_bytes((tmp_path / "IMG_1.jpg").read_bytes())
+    Image.open(tmp_path / "IMG_1.jpg").save(tmp_path / "IMG_1 (3).png")  # the same pixels in other bytes
+    assert read(tmp_path, max_views=32)[0].names == ("IMG_1", "IMG_2 (1)", "IMG_2", "1", "10")
+    assert (
+        "14 of 19 images in" in caplog.text and "copies of others, and are left out: Copy of IMG_1.jpg" in caplog.text
+    )
+
+
 def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
     for name in ("photos/a.png", "photos/b.png", "photos/@eaDir/a.png", "__MACOSX/photos/a.png", "sam_masks/a.png"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,7 @@
 """Cameras that lie beside photographs are used without being asked for; photographs without one are left out."""
 
 import json
+import re
 from unittest.mock import Mock
 
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 from PIL import Image
 
 from anystyle import stylize
+from anystyle.data.folder import read_views
 from anystyle.pipeline import cameras
 from anystyle.pipeline.options import PoseOptions, ViewOptions
+from anystyle.pipeline.photographs import _stored_beside
 
 SMALL = ViewOptions(short_side=56)
 
@@ -62,3 +65,30 @@ def test_a_damaged_file_of_cameras_is_named_and_not_used(capture, caplog):
     encoded = stylize(capture, "blue ink", model="tiny", reconstruction="feedforward", views=SMALL).encoded
     assert len(encoded.sources) == 6
     assert "cameras beside the photographs are not used: " in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("cams/00000000_cam.txt", "MVSNet's; give the COLMAP model"),
+        ("bundle.out", "Bundler's; kapture's kapture_import_bundler.py"),
+        ("images/cameras.sfm", "Meshroom's; aliceVision_exportColmap"),
+        ("sfm.json", "Meshroom's; aliceVision_exportColmap"),
+        ("opensfm/reconstruction.json", "OpenSfM's; opensfm export_colmap"),
+        ("images/out/sfm_data.json", "OpenMVG's; openMVG_main_openMVG2Colmap"),
+        ("project.psx", "a project of Metashape; File > Export > Export Cameras"),
+        ("database.db", "COLMAP's features without a model; colmap mapper"),
+        ("scene.nvm", "VisualSFM's; kapture's"),
+        ("images/found/transforms.json", "there are cameras in .*; poses=known poses_from=.*transforms.json uses them"),
+    ],
+)
+def test_cameras_that_are_not_read_are_named_with_what_to_do(capture, caplog, file, words):
+    (capture / "sparse").rename(capture.parent / f"{capture.name} elsewhere")
+    (capture / file).parent.mkdir(exist_ok=True)
+    (capture / file).write_text("{}")
+    photographs = sorted((capture / "images").glob("*.png"))
+    assert _stored_beside([capture / "images"], PoseOptions("auto")) == {}
+    assert re.search(words, caplog.text) and len(caplog.records) == 1 and str(capture / file) in caplog.text
+    views, sources = read_views(photographs, short_side=28, multiple=14, max_views=8)
+    with pytest.raises(ValueError, match=words):
+        cameras.from_files(views, sources)

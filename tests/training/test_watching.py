@@ -108,10 +108,11 @@ def test_a_value_that_nothing_would_log_is_refused(tmp_path, word, answer):
         ("trainer.resume_from_checkpoint=last.ckpt", "the same command resumes"),
         ("logger=wandb", r"loggers=\[wandb\]"),
         ("trainer.max_epochs=3", "trainer.max_steps=N"),
+        ("trainer.limit_train_batches=3", "trainer.max_steps=N, or training.pool=N"),
         ("+compile=true", "not compiled"),
         ("+lr=1e-4", "training.learning_rate=RATE"),
-        ("max_steps=3", "Did you mean 'trainer.max_steps'"),
-        ("batch_size=3", "Did you mean 'training.batch_size'"),
+        ("max_steps=3", r"write trainer\.max_steps=N"),
+        ("batch_size=3", r"write training\.batch_size=N"),
     ],
 )
 def test_a_word_of_lightnings_is_answered_by_the_one_to_write(word, answer):

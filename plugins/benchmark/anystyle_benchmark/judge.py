@@ -206,8 +206,9 @@ class Judge:
         kept: dict[str, Judged] = kept_json(file, dict[str, Judged]) or {}
         names = [name for name in self.inputs.track.metrics.get(unit.guide, ()) if name in self.metrics]
         keys = {
-            name: digest([PROTOCOL, name, sorted(self.metrics[name].weights.items()), sorted(images.items())])
-            for name in names
+            name: digest([PROTOCOL, name, *metric.better, sorted(metric.weights.items()), sorted(images.items())])
+            for name, metric in self.metrics.items()
+            if name in names
         }
         missing = [name for name in names if name not in kept or kept[name].key != keys[name]]
         kept = {name: judged for name, judged in kept.items() if name not in missing}

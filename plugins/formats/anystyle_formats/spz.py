@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anystyle.contracts import Format
 from anystyle.errors import MissingExtra, UserError
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import atomic_path, final
 from anystyle.io.ply import from_smallest_three
 from anystyle.io.splats import Remarks
 from anystyle.types import Gaussians, StyledScene
@@ -84,7 +84,7 @@ def _tell_coarse(path: Path, distances: NDArray[np.float64], bits: int) -> None:
     if bulk - bits > COARSER:
         far, step, fine = (distances >= 2.0 ** (23 - bulk)).sum(), 2.0**-bits, 2.0**-bulk
         line = "%s: positions are multiples of %g, and would be of %g without %s of %s Gaussians, which lie far out"
-        _log.warning(line, path, step, fine, f"{far:,}", f"{len(distances):,}")
+        _log.warning(line, final(path), step, fine, f"{far:,}", f"{len(distances):,}")
 
 
 def _tell_cut(path: Path, harmonics: NDArray[np.float64], scales: NDArray[np.float64]) -> None:
@@ -97,7 +97,7 @@ def _tell_cut(path: Path, harmonics: NDArray[np.float64], scales: NDArray[np.flo
     }
     told = ", ".join(f"{what} of {rows.sum():,}" for what, rows in cut.items() if rows.any())
     if told:
-        _log.warning("%s: of %s Gaussians, what SPZ cannot hold is cut: %s", path, f"{len(scales):,}", told)
+        _log.warning("%s: of %s Gaussians, what SPZ cannot hold is cut: %s", final(path), f"{len(scales):,}", told)
 
 
 def _flags(data: bytes) -> int:

@@ -12,6 +12,7 @@ import torch
 from anystyle.commands import export as command
 from anystyle.contracts import Format
 from anystyle.errors import UserError
+from anystyle.io.atomic import atomic_directory
 from anystyle.io.ply import from_smallest_three
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.options import AXES
@@ -168,8 +169,10 @@ def test_what_a_file_cannot_hold_is_one_line(tmp_path, caplog):
         ),
     ):
         caplog.clear()
-        export(given, tmp_path / f"scene.{name}", name)
+        with atomic_directory(tmp_path / name) as folder:
+            export(given, folder / f"scene.{name}", name)
         assert len(caplog.messages) == len(lines) and all(line in caplog.text for line in lines), caplog.messages
+        assert all(line.startswith(f"{tmp_path / name / 'scene'}.{name}: ") for line in caplog.messages)
     export(full, tmp_path / "scene.ply", "ply")
     torch.testing.assert_close(Gaussians.load(tmp_path / "scene.ply").harmonics, full.harmonics)
 

@@ -10,11 +10,12 @@ from anystyle.vision.weights import checksums
 from anystyle_magenta.networks import StylePrediction
 from anystyle_magenta.pretrained import load_prediction
 from anystyle_magenta.style_encoder import centre_square
-from anystyle_magenta.style_retrieval import Retrieval
+from anystyle_metrics.style_retrieval import Retrieval
+from anystyle_metrics.style_sets import named
 
 
 class MagentaRetrieval(Retrieval):
-    """:class:`~anystyle_magenta.style_retrieval.Retrieval` by the 100 numbers of Magenta's prediction network.
+    """:class:`~anystyle_metrics.style_retrieval.Retrieval` by the 100 numbers of Magenta's prediction network.
 
     An independent judge of models trained with EfficientNet-Lite0, but not of ``model=painter``, which uses it.
 
@@ -22,11 +23,11 @@ class MagentaRetrieval(Retrieval):
         >>> images = torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
         >>> metric = MagentaRetrieval()
         >>> metric.update(images, images)
-        >>> metric.compute()  # results are their style images
-        {'magenta_retrieval': tensor(1.), 'magenta_retrieval_gray': tensor(1.)}
+        >>> metric.compute()["magenta_retrieval"]  # results are their style images
+        tensor(1.)
     """
 
-    better: ClassVar[Mapping[str, str]] = {"magenta_retrieval": "higher", "magenta_retrieval_gray": "higher"}
+    better: ClassVar[Mapping[str, str]] = named("magenta_retrieval", "magenta_retrieval_gray")
 
     def __init__(self) -> None:
         super().__init__()

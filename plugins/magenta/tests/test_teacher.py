@@ -61,6 +61,7 @@ def test_scenes_that_show_their_style_are_found_and_others_not():
         metric = MagentaRetrieval()
         views = sheets.roll(shift, 0)[:, None].expand(-1, 2, -1, -1, -1)
         metric.update(Comparison(content=views, stylized=views, style=Style(image=sheets), scenes=("one",) * 4))
-        scores = {name: float(value) for name, value in metric.scores().items()}
-        assert scores == {"magenta_retrieval": expected, "magenta_retrieval_gray": expected}
+        with pytest.warns(UserWarning, match="does not tell . of 4 styles"):  # halves of noise are unlike
+            scores = metric.scores()
+        assert scores["magenta_retrieval"] == scores["magenta_retrieval_gray"] == expected
     assert list(metric.weights) == ["arbitrary_predict.onnx"]

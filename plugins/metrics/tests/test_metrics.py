@@ -16,6 +16,7 @@ from anystyle_metrics import dino
 from anystyle_metrics.csd import CSD
 from anystyle_metrics.met3r import Met3rDepth
 from anystyle_metrics.structure_distance import StructureDistance
+from anystyle_metrics.style_sets import StyleSet, csls, gaps, named
 from tests.support.known_scene import photographed_wall
 from tests.support.real_data import real
 
@@ -198,6 +199,48 @@ def test_csd_is_the_cosine_of_the_style_heads_outputs(tmp_path):
     assert scores(metric, views, views, style)["csd"] == pytest.approx(float(expected), abs=1e-5)
     assert scores(metric, views, style.expand_as(views), style)["csd"] == pytest.approx(1)
     assert set(metric.weights) == {"csd.pth"}
+
+
+@pytest.mark.parametrize("styles", [3, 14])
+def test_csls_and_gaps_are_those_of_numpy(styles):
+    rng = np.random.default_rng(0)
+    similar = rng.uniform(-1, 1, (styles, styles + 1)).astype(np.float32)
+    results, nearest = (np.sort(similar, axis)[::-1] if axis == 0 else np.sort(similar)[:, ::-1] for axis in (0, 1))
+    expected = 2 * similar - results[:10].mean(0) - nearest[:, :10].mean(1, keepdims=True)
+    np.testing.assert_allclose(csls(torch.from_numpy(similar)), expected, atol=1e-6)
+    square = similar[:, :styles]
+    alike = (square + square.T) / 2
+    others = [max(alike[i, j] for j in range(styles) if j != i) for i in range(styles)]
+    np.testing.assert_allclose(gaps(torch.from_numpy(square)), np.diag(alike) - others, atol=1e-6)
+
+
+class Colours(StyleSet):
+    """Mean colours as vectors, in which a grey style is a hub."""
+
+    better = named("colours")
+
+    def vectors(self, images):
+        return nn.functional.normalize(images.mean((2, 3)), dim=-1)[:, None]
+
+    def similar(self, rows, styles):
+        return rows @ styles.mT
+
+    def value(self, similar, own):
+        return (similar.argmax(1) == own).double()
+
+
+def test_a_hub_is_corrected_and_styles_that_are_not_told_apart_are_counted():
+    colour = torch.tensor([[1.0, 0.2, 0.2], [0.2, 1, 0.2], [0.2, 0.2, 1], [0.7, 0.7, 0.7]])[..., None, None]
+    shown = colour.expand(-1, 3, 8, 8) * 0.3 + 0.35
+    rows, style = torch.cat([shown[:3], shown[3:]])[:, None], colour.expand(-1, 3, 8, 8).clone()
+    metric = Colours()
+    metric.update(rows, style=style, scenes=("one",) * 4)
+    assert metric.compute()["colours"] < metric.compute()["colours_csls"] == 1 and metric.compute()["colours_gap"] > 0
+    style[:2, :, :4], style[:2, :, 4:] = colour[:1], colour[1:2]  # each half is the other one's
+    metric.reset()
+    metric.update(rows, style=style, scenes=("one",) * 4)
+    with pytest.warns(UserWarning, match="colours does not tell 1 of 3 styles from another"):
+        metric.compute()
 
 
 def test_csd_needs_its_own_weights(tmp_path):

@@ -10,15 +10,13 @@ from anystyle.contracts import Command
 from anystyle.errors import MissingExtra, UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import contact_sheet
-from anystyle_paper import bars, command_verify, latex, published_scores, run_table, runs
+from anystyle_paper import bars, latex, published_scores, run_table, runs
 
 
 class Report(Command):
     """Tables, plots and a contact sheet of runs: Markdown, CSV, LaTeX and PNG."""
 
     def __call__(self, words: Sequence[str]) -> None:
-        if words[:1] == ["verify"]:
-            sys.exit(command_verify.main(words[1:]))
         report(parse(parser(), words))
 
 
@@ -28,7 +26,6 @@ def parser() -> argparse.ArgumentParser:
         "report",
         "Set runs side by side: evaluations, trainings, the jobs of a multirun. A row for each variant "
         "(runs that differ by seed alone are one), scores in columns; jobs that failed are marked so in their row.",
-        epilog="anystyle report verify DIR makes scores of such a table again, and compares them.",
     )
     flags.add_argument("folders", nargs="*", type=Path, metavar="DIR", help="a run, a multirun, or a folder of these")
     flags.add_argument("--scores", default="", metavar="A,B", help="which scores, in this order (default: all)")

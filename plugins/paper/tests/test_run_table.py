@@ -15,10 +15,10 @@ from anystyle_paper import published_scores as published
 from anystyle_paper import run_table as report
 
 
-def evaluation(folder, scores, *, groups=None, stand_ins=None, better=None):
+def evaluation(folder, scores, *, groups=None, stand_ins=None, better=None, **provenance):
     folder.mkdir(parents=True, exist_ok=True)
     found = Evaluation(scores, 4, better=better or {}, groups=groups or {}, stand_ins=stand_ins or {})
-    record.write(found, folder, {"protocol": "paper"})
+    record.write(found, folder, {"protocol": "paper", **provenance})
     return folder
 
 
@@ -175,6 +175,16 @@ def test_trainings_are_reported_by_what_they_logged(tmp_path):
     job(tmp_path / "run", logged={"train/loss": 0.5, "val/psnr": None})
     (line,) = report.lines_of(runs.find(tmp_path / "run"))[0]
     assert line.title == "run" and line.value("", "train/loss") == 0.5
+
+
+def test_the_table_says_whether_its_rows_are_of_one_version(tmp_path):
+    for name in ("first", "second"):
+        evaluation(tmp_path / name, {"psnr": 20.0}, commit="a" * 40, versions={"anystyle": "1"})
+    notes = report.state_notes(report.lines_of(runs.find(tmp_path))[0])
+    assert notes == ["All scores computed here are of anystyle 1, commit aaaaaaaaaaaa."]
+    evaluation(tmp_path / "second", {"psnr": 20.0}, commit="b" * 40, versions={"anystyle": "1"})
+    (note,) = report.state_notes(report.lines_of(runs.find(tmp_path))[0])
+    assert note.startswith("Rows are of 2 versions. anystyle 1, commit aaaaaaaaaaaa: first; ")
 
 
 def test_the_sheet_has_a_row_for_each_variant_and_a_column_for_each_style(sweep):

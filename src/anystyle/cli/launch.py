@@ -21,11 +21,13 @@ from anystyle.cli.arguments import EPILOG, MODES, is_override, new_parser, split
 from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, one_line, unknown
 from anystyle.registry.compose import (
+    ELSEWHERE,
     VERSION_BASE,
     check_choices,
     check_words,
     choices,
     compose,
+    config_folders,
     idle,
     override,
     refused,
@@ -76,7 +78,7 @@ def launch(
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
         raise UserError(f"give only one of {', '.join(MODES)}")
     if any(word.partition("=")[0] in ("-c", "--cfg") for word in words):
-        folders = re.findall(r"(?:^|\n)(?:-cd|--config-dir)[=\n](.+)", "\n".join(words))
+        folders = config_folders(words)
         path = [f"hydra.searchpath=[{','.join(f'file://{each}' for each in folders)}]"] if folders else []
         config = compose(config_name, [*filter(is_override, words), *path], conf=folder)
         words = [*(f"~loss.{name}" for name in sorted(idle(config))), *words]
@@ -84,6 +86,8 @@ def launch(
 
     @functools.wraps(function)
     def task(config: DictConfig) -> Any:
+        if HydraConfig.get().job.chdir:
+            raise JobError(UserError(f"hydra.job.chdir: true: {ELSEWHERE['all']['hydra.job.chdir.true']}"))
         if HydraConfig.get().mode is not RunMode.MULTIRUN:
             try:
                 return function(config)

@@ -8,6 +8,7 @@ import traceback
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 from anystyle.errors import UserError, one_line
@@ -87,7 +88,10 @@ def message(error: BaseException) -> str | None:
     if isinstance(error, UserError):
         return one_line(error)
     if isinstance(error, OSError) and (error.strerror or error.filename is not None):
-        return ": ".join(str(part) for part in (error.filename, error.strerror) if part)
+        from anystyle.io.atomic import final
+
+        at = error.filename and final(Path(str(error.filename)))  # whatever name it has while it is written
+        return ": ".join(str(part) for part in (at, error.strerror) if part)
     if isinstance(error, FileNotFoundError):
         return one_line(error)
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":

@@ -84,9 +84,6 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     better: ClassVar[Mapping[str, str]]
     """For each score that :meth:`compute` returns, ``higher`` or ``lower``; an instance may have other names."""
 
-    timed: ClassVar[bool] = False
-    """Whether its scores are times, which vary between runs on the same images."""
-
     stand_ins: Mapping[str, str] = MappingProxyType({})
     """Set by an instance: for each score that a stand-in network computes, the network's name."""
 

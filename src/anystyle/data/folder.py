@@ -1,5 +1,6 @@
 """Photographs from folders, files, patterns and videos as one set of views."""
 
+import filecmp
 import glob
 import logging
 import re
@@ -35,6 +36,12 @@ MAP = re.compile(
 
 OTHER = re.compile(rf"@eadir|__macosx|thumbnails|(.*[\W\d_])?({MAP.pattern})([\W\d_].*)?", re.IGNORECASE)
 """Names of folders beside photographs whose images are not photographs."""
+
+_COPY = r"(copy|kopie|copie|copia|副本|コピー)"
+COPY = re.compile(
+    rf"^{_COPY} (of|von|de|di) |[\s_の-]+(\((\w+ )?)?{_COPY}[\W\d]*$|(\s?\(\d+\)|[ ~]\d+)$", re.IGNORECASE
+)
+"""What systems add to the name of a copied file: ``a (1)``, ``a - Copy``, ``a copy 2``, ``Copy of a``, ``a 2``."""
 
 COLOURS = frozenset(["color", "colour", "frame", "image", "img", "photo", "rgb"])
 """Words by which the photograph is told from its maps."""
@@ -160,7 +167,8 @@ def map_files(files: Sequence[Path]) -> list[Path]:
     """The images among those of a folder that are no photographs of their own, by their names.
 
     Depth, normals and masks are named as a photograph there and by a MAP, masks of COLMAP by the whole of its name.
-    Of copies in several formats, which differ in their suffix alone, one counts, that in JPEG if there is one.
+    Of copies in several formats, which differ in their suffix alone, one counts, that in JPEG if there is one. A file
+    that is named as a COPY of another is one where it has the same pixels.
     """
     words = {file: _words(file) for file in files}
     photographs = {each for each in words.values() if not any(map(MAP.fullmatch, each))}
@@ -173,7 +181,23 @@ def map_files(files: Sequence[Path]) -> list[Path]:
 
     names = {file.name for file in files}
     chosen = {file.stem: file for file in sorted(files, key=lambda file: file.suffix.lower() in (".jpg", ".jpeg"))}
-    return [file for file in files if photographs & rests(file) or file.stem in names or chosen[file.stem] != file]
+
+    def is_copy(file: Path) -> bool:
+        original = chosen.get(COPY.sub("", file.stem), file)
+        return chosen[file.stem] != file or (original != file and _alike(file, original))
+
+    return [file for file in files if photographs & rests(file) or file.stem in names or is_copy(file)]
+
+
+def _alike(one: Path, other: Path) -> bool:
+    """Whether two images have the same bytes, or else the same pixels."""
+    if filecmp.cmp(one, other, shallow=False):
+        return True
+    try:
+        sizes = images.image_size(one) == images.image_size(other)
+        return sizes and images.open_image(one).tobytes() == images.open_image(other).tobytes()
+    except ValueError:
+        return False
 
 
 def _words(path: Path) -> tuple[str, ...]:
@@ -330,9 +354,7 @@ def _tell_left_out(folder: Path) -> None:
     """Say which files beside photographs are not taken for photographs."""
     files = visible(folder, images.SUFFIXES)
     if maps := map_files(files):
-        told = (
-            "%d of %d images in %s are depth, normals, masks or copies of others by their names, and are left out: %s"
-        )
+        told = "%d of %d images in %s are depth, normals, masks or copies of others, and are left out: %s"
         _log.warning(told, len(maps), len(files), folder, listing([file.name for file in maps], most=4))
     developed = {file.stem for file in files}
     films = [file.name for file in visible(folder, video.SUFFIXES) if file.stem not in developed]

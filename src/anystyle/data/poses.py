@@ -1,7 +1,8 @@
 """Cameras stored beside photographs."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import torch
@@ -14,6 +15,28 @@ from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, SourceImage
 
 _log = logging.getLogger(__name__)
+
+_WRITE = "write a transforms.json of them"
+_KAPTURE = "kapture's kapture_import_{}.py and kapture_export_colmap.py write a COLMAP model"
+UNREAD: Mapping[str, str] = {
+    "database.db": "COLMAP's features without a model; colmap mapper makes one (poses=sfm does without)",
+    "*.psx": "a project of Metashape; File > Export > Export Cameras writes the XML that is read",
+    "*.r[cs]proj": "a project of RealityScan; export a COLMAP model",
+    "cameras*.csv": "a table of RealityScan; export a COLMAP model",
+    "*.sfm": "Meshroom's; aliceVision_exportColmap -i FILE.sfm -o colmap writes a COLMAP model",
+    "sfm.json": "Meshroom's; aliceVision_exportColmap -i sfm.json -o colmap writes a COLMAP model",
+    "sfm_data.[jb]*": "OpenMVG's; openMVG_main_openMVG2Colmap -i sfm_data.bin -o colmap writes a COLMAP model",
+    "reconstruction.json": "OpenSfM's; opensfm export_colmap writes a COLMAP model",
+    "bundle*.out": f"Bundler's; {_KAPTURE.format('bundler')}",
+    "*.nvm": f"VisualSFM's; {_KAPTURE.format('nvm')}",
+    "*_cam.txt": f"MVSNet's; give the COLMAP model that they were made of, or {_WRITE}",
+    "*calibrated_camera_parameters.txt": f"Pix4D's; {_WRITE}",
+    "cameras*.npz": f"matrices of NeuS or IDR; {_WRITE}",
+    "*pose.txt": f"one pose a file, as of 7-Scenes; {_WRITE}",
+    "traj*.txt": f"a trajectory; {_WRITE}",
+}
+"""Cameras that are not read, by a pattern of file names: whose they are, and what to do."""
+_INSIDE = ("cams", "opensfm", "pose", "poses", "sfm")
 
 
 def readers() -> list[CameraReader]:
@@ -47,6 +70,20 @@ def read_poses(folder: Path, images: Sequence[Path], stored_in: str | None = Non
     if stored_in is None:
         return {}
     raise UserError(f"{target} is not there, or holds no cameras; cameras= is relative to each scene's folder")
+
+
+def unread(folders: Iterable[Path]) -> str | None:
+    """A line on cameras in, beside or above the folders of photographs that are not found or not read there."""
+    given = list(dict.fromkeys(folder.absolute() for folder in folders))
+    inside = [path for folder in given for path in sorted(folder.glob("[!.]*")) if path.is_dir()]
+    for path in (reader.find(each) for each in inside for reader in readers()):
+        if path is not None:
+            return f"there are cameras in {path}; poses=known poses_from={path} uses them"
+    above = (place / name for each in given for place in (each, *each.parents[:2]) for name in ("", *_INSIDE))
+    for each, (pattern, advice) in product(dict.fromkeys((*above, *inside)), UNREAD.items()):
+        if path := next(each.glob(pattern), None):
+            return f"the cameras in {path} are not read: {advice}; poses=known poses_from=PATH reads the result"
+    return None
 
 
 def stored_cameras(folder: Path) -> dict[str, StoredCamera]:

@@ -41,7 +41,6 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
     )
     facts = {
         "n": evaluation.n,
-        "timed": [*evaluation.provenance.get("timed", []), *evaluation.times],
         "better": dict(evaluation.better),
         "stand_ins": dict(evaluation.stand_ins),
     }

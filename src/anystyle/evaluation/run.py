@@ -159,7 +159,6 @@ def run(
             "seed": config.seed,
             "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
             "versions": versions(),
-            "timed": [name for metric in parts.get("metrics", {}).values() if metric.timed for name in metric.better],
         }
         provenance |= foundations(provenance["config"])
         written = record.write(evaluation, out, provenance)

@@ -91,6 +91,11 @@ def atomic_directory(target: str | Path, expected: Collection[str] = (), *, over
             shutil.rmtree(temporary, ignore_errors=True)
 
 
+def final(path: Path) -> Path:
+    """Where a file will be that is written into a folder of :func:`atomic_directory`: to tell of it."""
+    return Path(*(part for part in path.parts if not part.startswith(PARTIAL)))
+
+
 def made_in(folder: Path) -> frozenset[str]:
     """The files in a folder that :func:`atomic_directory` made there, as far as they are still there."""
     names = kept_json(folder / MADE, list[str]) or ()

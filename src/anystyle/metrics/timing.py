@@ -23,7 +23,6 @@ class Timing(RowMean):
 
     better: ClassVar[Mapping[str, str]] = {"seconds": "lower"}
     takes = ("preds", "seconds")
-    timed: ClassVar[bool] = True
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         if comparison.seconds is None:

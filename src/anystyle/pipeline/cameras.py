@@ -8,7 +8,7 @@ from pathlib import Path
 from anystyle.contracts import StoredCamera
 from anystyle.data.folder import image_files, read_picture
 from anystyle.data.images import to_tensor
-from anystyle.data.poses import read_poses, readers, view_camera
+from anystyle.data.poses import read_poses, readers, unread, view_camera
 from anystyle.errors import UserError, listing
 from anystyle.geometry.transforms import Similarity
 from anystyle.paths import short_names
@@ -75,8 +75,11 @@ def from_files(
     ``folder`` holds the cameras; the photographs' own folders and the ones above unless it is given. ``stored`` are
     those of :func:`stored_beside`, where they were read already.
     """
-    stored = stored or _stored({source.path.parent: None for source in sources if source.path is not None}, folder)
+    folders = {source.path.parent: None for source in sources if source.path is not None}
+    stored = stored or _stored(folders, folder)
     if not stored:
+        if folder is None and (told := unread(folders)):
+            raise UserError(told)
         searched = f"in {folder}" if folder is not None else "beside the photographs"
         expected = ", ".join(reader.expects for reader in readers())
         remedy = "or use poses=sfm or poses=predicted"

@@ -11,6 +11,7 @@ from torch import Tensor
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
+from anystyle.io.atomic import final
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
 from anystyle.types import StyledScene
@@ -31,12 +32,12 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
     ``name`` is a plugin of kind ``format``; ``up`` one of :data:`~anystyle.pipeline.options.AXES`, or ``None`` for what
     readers of the format expect.
     """
-    writer = build(Format, name)
+    writer, place = build(Format, name), final(path)
     given, last = dict(scene.styles), scene.styles[-1][1]
     kept = {title: each for title, each in given.items() if each.shares(last, writer.shared)}
     if left_out := given.keys() - kept:
         line = "%s: styles of one file share %s; left out are those with others: %s"
-        _log.warning(line, path, ", ".join(writer.shared), ", ".join(sorted(left_out)))
+        _log.warning(line, place, ", ".join(writer.shared), ", ".join(sorted(left_out)))
     visible = {title: each.opacities[0] > 0 for title, each in kept.items()}
     if len({len(rows) for rows in visible.values()}) == 1:  # they stay as many, and what is equal stays equal
         visible = dict.fromkeys(kept, torch.stack(list(visible.values())).any(0))
@@ -48,17 +49,17 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
     )
     turned, degree = in_axes(up or writer.up, replace(scene, styles=styles)), isqrt(last.harmonics.shape[2]) - 1
     if shown < total:
-        _log.warning("%s: %s of %s Gaussians are left out (with opacity 0)", path, f"{total - shown:,}", f"{total:,}")
+        _log.warning("%s: %s of %s Gaussians are left out (with opacity 0)", place, f"{total - shown:,}", f"{total:,}")
     if writer.max_degree is not None and degree > writer.max_degree:
-        _log.warning("%s: harmonics above degree %d are left out: it has no room for them", path, writer.max_degree)
+        _log.warning("%s: harmonics above degree %d are left out: it has no room for them", place, writer.max_degree)
     if any(scene.offset) and not writer.has_offset:
         _log.warning(
             "%s: the format has no room for the offset %s, which its positions lack",
-            path,
+            place,
             " ".join(f"{each:.17g}" for each in turned.offset),
         )
     if scene.antialiased and not writer.has_antialiasing:
-        _log.warning("%s: the format cannot say that the scene was trained with antialiasing", path)
+        _log.warning("%s: the format cannot say that the scene was trained with antialiasing", place)
     writer.write(turned, path)
     if not writer.has_notes:
         beside = path.with_suffix(path.suffix + ".txt")

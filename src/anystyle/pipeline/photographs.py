@@ -8,6 +8,7 @@ from pathlib import Path
 from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, StoredCamera, Verdict
 from anystyle.data.folder import files_of, read_originals, read_views
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
+from anystyle.data.poses import unread
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
@@ -86,6 +87,8 @@ def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> dict[Path, Stor
         _log.warning("cameras beside the photographs are not used: %s", error)
         return {}
     if not found:
+        if told := unread([path if path.is_dir() else path.parent for path in (*paths, *files)]):
+            _log.warning("%s", told)
         return {}
     used = len(found) >= max(2, len(files) / 2)
     _log.warning(

@@ -3,7 +3,6 @@
 import re
 import tomllib
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,9 @@ from yaml import YAMLError
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.registry.builtin import MANY, OPTIONS
-from anystyle.registry.catalog import PluginError, catalog, kinds
-from anystyle.registry.packages import groups, presets
-from anystyle.registry.schema import literal, node
+from anystyle.registry.catalog import Plugin, catalog, kinds
+from anystyle.registry.packages import arguments, groups, preset_folders, presets
+from anystyle.registry.schema import literal
 from anystyle.registry.source import register
 
 VERSION_BASE: dict[str, Any] = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}
@@ -38,7 +37,8 @@ _DELETED = re.compile(r"Error resolving interpolation '\$\{recipe\}/\$\{(?P<grou
 _NULL = re.compile(r"(?P<group>\w+)(@\w+)?=null")
 """A word that sets what may be a group to nothing."""
 
-_ELSEWHERE: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("elsewhere.toml").read_text("utf-8"))
+ELSEWHERE: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("elsewhere.toml").read_text("utf-8"))
+"""Words of other programs and what to write here, by the command that they are given to."""
 
 _NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to your config|Search path:|See https)")
 
@@ -80,7 +80,7 @@ def check_words(config_name: str, words: Sequence[str]) -> None:
     And options of which one is chosen as if they were a group, and with a + words that nothing here reads, which Hydra
     lets pass.
     """
-    answers = _ELSEWHERE["all"] | _ELSEWHERE.get(config_name, {})
+    answers = ELSEWHERE["all"] | ELSEWHERE.get(config_name, {})
     for word in words:
         key, _, value = word.lstrip("+").partition("=")
         asked = f"{key}.{value.strip('[]')}."  # a key of that file may end in a value
@@ -110,17 +110,50 @@ def with_plugins(words: Sequence[str]) -> list[str]:
 
 
 def check_choices(words: Sequence[str]) -> None:
-    """Refuse a choice that a group does not have, before what it would be composed with is imported.
+    """Refuse a choice that a group does not have, and a key that nothing has, before anything is imported for them.
 
-    Choices that folders of one's own may add are left to Hydra.
+    Folders of one's own are read; where another root is given, or a package of configurations, it is left to Hydra.
     """
-    if any(word.startswith(("-cd", "--config-dir", "--config-path", "-cp", "hydra.searchpath")) for word in words):
+    lines = "\n".join(words)
+    own = [Path(each) for each in (*config_folders(words), *re.findall(r"file://([^,\]'\"\n]+)", lines))]
+    other = re.search(
+        r"^(-cp|-cn|-sc|--config-path|--config-name|--shell-)|^hydra.searchpath=.*pkg:", lines, re.MULTILINE
+    )
+    if other or not all(map(Path.is_dir, own)):
         return
-    for group, _, value in (word.partition("=") for word in words):
+    files = [file for folder in (paths.CONF, *preset_folders(), *own) for file in folder.rglob("*.yaml")]
+    written = "\n".join((lines, *(file.read_text("utf-8", "replace") for file in files)))
+    top = {*re.findall(r"^\w+(?=:)", written, re.MULTILINE), *groups(), *OPTIONS, "hydra"}
+    named = top | {*re.findall(r"\w+(?=:)|(?<=@)\w+", written)}
+    for key, _, value in (word.partition("=") for word in words if "=" in word):
         names = re.fullmatch(r"\[?([\w,-]+)\]?", value)
-        for name in names[1].split(",") if names and group in groups() else ():
-            if name and name not in choices(group):
-                raise UserError(_no_such(group, name, choices(group)))
+        known = {*choices(key), *(file.stem for file in files if file.parent.name == key)} if key in groups() else {}
+        for name in names[1].split(",") if names and known else ():
+            if name and name not in known:
+                raise UserError(_no_such(key, name, sorted(known)))
+        first, *inner = key.split(".") if re.fullmatch(r"\w[\w.]*", key) else ("hydra",)
+        if first not in named and (near := did_you_mean(first, top)):
+            raise UserError(f"Could not override '{key}': Key '{first}' is unknown.{near}")
+        takes, asked = _takes(first, inner, words), "".join(inner[1:2] if first in MANY else inner[:1])
+        if takes and asked and asked not in takes | named:
+            near = did_you_mean(asked, takes) or f" There are: {', '.join(sorted(takes))}"
+            raise UserError(f"Could not override '{key}': Key '{asked}' is no option of {first}.{near}")
+
+
+def config_folders(words: Sequence[str]) -> list[str]:
+    """The folders of configurations that words add: ``-cd DIR`` or ``--config-dir=DIR``."""
+    return re.findall(r"(?:^|\n)(?:-cd|--config-dir)[=\n](.+)", "\n".join(words))
+
+
+def _takes(key: str, inner: Sequence[str], words: Sequence[str]) -> set[str]:
+    """The options of plugins that words choose for a key, or of all of the kind; empty where sources do not tell."""
+    if key in OPTIONS:
+        target = "lightning.pytorch.trainer.trainer:Trainer" if key == "trainer" else OPTIONS[key]
+        return arguments(Plugin(key, key, target, "anystyle")) or set()
+    known = catalog().names(key) if key in kinds() else []
+    chosen = inner[:1] if key in MANY else [word.partition("=")[2] for word in words if word.startswith(f"{key}=")]
+    taken = [arguments(catalog().find(key, name)) for name in known if name in chosen or not {*chosen} & {*known}]
+    return set() if None in taken else set().union(*filter(None, taken))
 
 
 def override(key: str, value: object) -> str:
@@ -182,12 +215,8 @@ def choices(group: str) -> list[str]:
 def _with_option(group: str, message: str) -> list[str]:
     """The choices of a group that have the option of which Hydra says that it could not be overridden, or all."""
     option = re.search(rf"'{group}\.(\w+)", message)
-    plugins = (catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ()))
-    having: list[str] = []
-    for plugin in plugins:
-        with suppress(PluginError):
-            having += [plugin.name] if option and option[1] in node(plugin) else []
-    return having or choices(group)
+    plugins = [catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ())]
+    return [each.name for each in plugins if option and option[1] in (arguments(each) or ())] or choices(group)
 
 
 def _message(error: BaseException) -> str:

@@ -47,6 +47,22 @@ def constant(plugin: Plugin, name: str) -> Any:
     return getattr(plugin.load(), name)
 
 
+def arguments(plugin: Plugin) -> set[str] | None:
+    """The names of what a plugin's constructor takes, read from its source; ``None`` where that does not tell them."""
+    source = _source(plugin) if plugin.defined is None else None
+    if source is None:
+        return None
+    for each in source.body:
+        if isinstance(each, ast.FunctionDef) and each.name == "__init__":
+            return (
+                None if each.args.kwarg else {item.arg for item in (*each.args.args, *each.args.kwonlyargs)} - {"self"}
+            )
+    is_dataclass = any("dataclass" in ast.unparse(each) for each in source.decorator_list) and not source.bases
+    return (
+        {ast.unparse(each.target) for each in source.body if isinstance(each, ast.AnnAssign)} if is_dataclass else None
+    )
+
+
 def _source(plugin: Plugin) -> ast.ClassDef | None:
     """The source of a plugin's class, where it is found."""
     module, _, name = plugin.target.partition(":")

@@ -32,6 +32,7 @@ from anystyle.registry.schema import runtime_arguments
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import bound, exclusive, is_rank_zero, resumable
+from anystyle.training.safeguards import FiniteLoss
 from anystyle.training.scene_cache import with_cache
 from anystyle.training.trainer import check_options, make_trainer
 from anystyle.training.watching import Best, EarlyStop
@@ -155,8 +156,12 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
             trainer.fit(training, datamodule=data, ckpt_path=path, weights_only=resumed is not None or None)
         except DistBackendError as error:
             raise UserError("another process of this training has ended; its own message says why") from error
-        except (RuntimeError, KeyError, TypeError, AttributeError) as error:
-            if resumed is None or checkpoint.started:
+        except Exception as error:
+            guards = [each for each in trainer.callbacks if isinstance(each, FiniteLoss)]  # type: ignore[attr-defined]
+            if guards[0].refusal:
+                raise guards[0].refusal from None
+            strange = isinstance(error, (RuntimeError, KeyError, TypeError, AttributeError))
+            if resumed is None or checkpoint.started or not strange:
                 raise
             raise UserError(f"{resumed.path} does not match this model ({one_line(error)[:300]})") from error
     metrics = checkpoint.metrics | logged(trainer)

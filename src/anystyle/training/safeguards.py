@@ -2,13 +2,15 @@
 
 import math
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.modules.module import register_module_forward_hook
 from torch.nn.utils import get_total_norm
 
 from anystyle.errors import UserError
@@ -18,11 +20,13 @@ from anystyle.io.atomic import atomic_path
 class FiniteLoss(Callback):
     """Stop a run whose loss or gradient is not finite, or whose loss explodes, and write the batch to ``path``.
 
-    A loss explodes if it is more than ``growth`` times the mean of the last hundred; ``None`` allows any.
+    A loss explodes if it is more than ``growth`` times the mean of the last hundred; ``None`` allows any. ``refusal``
+    is what to raise in place of an error that came of numbers which were not finite before there was a loss.
     """
 
     def __init__(self, path: Path, *, growth: float | None = None) -> None:
         self.path, self.growth = path, growth
+        self.refusal: UserError | None = None
         self._batch: Any = None
         self._recent: deque[float] = deque(maxlen=100)
 
@@ -51,16 +55,41 @@ class FiniteLoss(Callback):
     def _refuse(self, trainer: Trainer, problem: str) -> None:
         # Processes stop together, because one that goes on would wait for the others' gradients for ever. Averaged
         # gradients are the same in all of them.
-        if not trainer.strategy.reduce_boolean_decision(bool(problem), all=False):
+        if trainer.strategy.reduce_boolean_decision(bool(problem), all=False):
+            raise self._keep(trainer, problem or "another process met a bad loss")
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        """Decompositions, indices and checks may refuse what a network gives before its loss is known: look again."""
+        if (
+            self._batch is None
+            or self.refusal
+            or isinstance(exception, OSError)
+            or not isinstance(exception, Exception)
+        ):
             return
+        broken: list[nn.Module] = []
+
+        def look(module: nn.Module, given: Any, output: Any) -> None:
+            if isinstance(output, Tensor) and not output.isfinite().all():
+                broken.append(module)
+
+        computing = trainer.precision_plugin.train_step_context()
+        with register_module_forward_hook(look), computing, torch.no_grad(), suppress(Exception):
+            pl_module.training_step(self._batch, 0)
+        if broken:
+            name = next((name for name, module in pl_module.named_modules() if module is broken[0]), "a network")
+            self._keep(trainer, f"what {name} computes is not finite")
+
+    def _keep(self, trainer: Trainer, problem: str) -> UserError:
         rank = trainer.global_rank
         path = self.path.with_stem(f"{self.path.stem}_{rank}") if rank else self.path
         with atomic_path(path) as temporary:
             torch.save({"step": trainer.global_step, "batch": self._batch}, temporary)
-        raise UserError(
-            f"at step {trainer.global_step} {problem or 'another process met a bad loss'}; the batch is in {path}. "
+        self.refusal = UserError(
+            f"at step {trainer.global_step} {problem}; the batch is in {path}. "
             f"Lower training.learning_rate, or resume from the last checkpoint with another seed"
         )
+        return self.refusal
 
 
 class SkipOutliers(Callback):

@@ -55,7 +55,8 @@ RANGES: Mapping[str, Any] = {
 
 _OURS = (
     "barebones", "callbacks", "check_val_every_n_epoch", "default_root_dir", "enable_checkpointing", "logger",
-    "max_epochs", "min_epochs", "plugins", "reload_dataloaders_every_n_epochs", "use_distributed_sampler",
+    "limit_train_batches", "max_epochs", "min_epochs", "overfit_batches", "plugins", "use_distributed_sampler",
+    "reload_dataloaders_every_n_epochs",
 )  # fmt: skip
 _HINTS = typing.get_type_hints(pl.Trainer.__init__)
 TrainerOptions = make_dataclass(

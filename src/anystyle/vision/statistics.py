@@ -37,11 +37,6 @@ def equalized_gray(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]
     return shares.gather(1, levels).view(len(levels), 1, *images.shape[-2:]).expand(images.shape)
 
 
-def centered_cosines(queries: Float[Tensor, "N D"], gallery: Float[Tensor, "G D"]) -> Float[Tensor, "N G"]:
-    """Cosines between vectors, each side centred over its own set: what all queries share is removed."""
-    return F.normalize(queries - queries.mean(0), dim=-1) @ F.normalize(gallery - gallery.mean(0), dim=-1).mT
-
-
 def rgb_uv_histogram(
     images: Float[Tensor, "M 3 H W"], *, bins: int = 64, width: float = 0.02, limit: int = 256
 ) -> Float[Tensor, "M 3 bins bins"]:

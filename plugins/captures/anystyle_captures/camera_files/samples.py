@@ -84,28 +84,6 @@ def write_metashape(
     path.write_text(_METASHAPE.format(rotation=rotation, translation=translation, scale=scale, **fields))
 
 
-def on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
-    """Focal length in millimetres of a film 36 mm wide, principal point, and the terms in RealityScan's order."""
-    (height, width), longer = lens.size, max(lens.size)
-    u, v = (lens.center[0] - width / 2) / longer, (lens.center[1] - height / 2) / longer
-    terms = [*lens.radial, lens.tangential[1], lens.tangential[0]]
-    return float(36 * lens.focal[0] / longer), float(u), float(v), terms
-
-
-def write_realityscan_table(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
-    """The table of internal and external camera parameters."""
-    focal, u, v, terms = on_film(lens)
-    rows = ["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"]
-    for image, pose in zip(images, world_from_camera, strict=True):
-        # Rows of the published matrix: (-cos p sin y, -cos p cos y, -sin p) is where the image's rows lead.
-        x, y, z = pose[:3, :3].T
-        pitch = np.arcsin(-y[2])
-        yaw, roll = np.arctan2(-y[0], -y[1]), np.arctan2(-x[2], -z[2])
-        values = [*pose[:3, 3], *np.rad2deg([yaw, pitch, roll]), focal, u, v, *terms]
-        rows.append(",".join([image.name, *(repr(float(value)) for value in values)]))
-    path.write_text("\n".join(rows) + "\n")
-
-
 def write_polycam(folder: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
     """Cameras of keyframes, one file each."""
     folder.mkdir(parents=True, exist_ok=True)
