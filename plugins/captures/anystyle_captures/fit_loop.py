@@ -193,12 +193,11 @@ class FitLoop:
         coarse = self.step < options.half_resolution * options.num_steps
         images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
         masks = self.half_masks if coarse else self.masks
-        rows = slice(0, cameras.size[0]) if coarse else self.rows()
-        target, masks = images[view, None, :, rows], masks and masks.select([view]).rows(rows)
+        target = images[view, None]
         gaussians = self.gaussians()
         kept = torch.rand(len(self.splats), generator=self.generator).to(images) >= options.dropout
         opacities = (gaussians.opacities * kept / (1 - options.dropout)).clamp_max(MAX_OPACITY)
-        renders = self.renderer(replace(gaussians, opacities=opacities), rows_of(cameras.select([view]), rows))
+        renders = self.renderer(replace(gaussians, opacities=opacities), cameras.select([view]))
         # Over random colours, so that no Gaussian lets the background through where there is something.
         transmittance = 1 - renders.alpha[0, :, None]
         color = renders.color[0] - transmittance * self.background
@@ -208,9 +207,9 @@ class FitLoop:
         measured = torch.ones_like(target[:, 0], dtype=torch.bool)
         if masks is not None:
             # Over the same colours, so that transparency is asked for where nothing is there.
-            target = target + (1 - masks.alpha) * (random - 1)
-            color = torch.where(masks.valid, color, target)
-            measured = masks.measured
+            target = target + (1 - masks.alpha[view]) * (random - 1)
+            color = torch.where(masks.valid[view], color, target)
+            measured = masks.measured[view, None]
         photometric_loss(color, target, dssim=DSSIM * 2 * (self.step % 2)).backward()
         self._shrink()
         self.splats.step()
@@ -223,12 +222,6 @@ class FitLoop:
         if self.step % PRUNE_EVERY == 0 and fraction < 0.8:
             self._prune()
         return float(psnr(color.detach(), target, measured))
-
-    def rows(self) -> slice:
-        """Those on one side of a random cut of a photograph, so that each row is among them in half of the steps."""
-        height = self.cameras.size[0]
-        cut = int(torch.randint(height // 4, height - height // 4, (), generator=self.generator))
-        return slice(cut, height) if torch.rand((), generator=self.generator) < 0.5 else slice(0, cut)
 
     @torch.no_grad()
     def _shrink(self) -> None:
@@ -387,13 +380,6 @@ def background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Fl
     """The colour that a renderer shows where there is nothing."""
     nothing = replace(gaussians, opacities=torch.zeros_like(gaussians.opacities)).map(lambda tensor: tensor[:, :1])
     return renderer(nothing, cameras.select([0])).color[0, 0].mean((1, 2))[:, None, None]
-
-
-def rows_of(cameras: Cameras, rows: slice) -> Cameras:
-    """Cameras of some rows of their images."""
-    above = cameras.intrinsics.new_tensor([0.0, rows.start, 0.0])
-    shift = torch.stack([torch.zeros_like(above), torch.zeros_like(above), above], dim=1)
-    return replace(cameras, intrinsics=cameras.intrinsics - shift, size=(rows.stop - rows.start, cameras.size[1]))
 
 
 def _parameters(gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:

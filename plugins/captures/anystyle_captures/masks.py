@@ -45,10 +45,6 @@ class Masks:
         """Those of some views."""
         return Masks(self.alpha[list(views)], self.valid[list(views)])
 
-    def rows(self, rows: slice) -> "Masks":
-        """Those of some rows of the photographs."""
-        return Masks(self.alpha[:, rows], self.valid[:, rows])
-
     def straight(self, images: Float[Tensor, "V 3 H W"]) -> Float[Tensor, "V 3 H W"]:
         """The colours of what is there, without the white that shows through."""
         alpha = self.alpha[:, None]

@@ -119,29 +119,6 @@ def test_a_step_leaves_out_some_gaussians_and_the_others_stand_in(photographs):
     torch.testing.assert_close(drawn[-1], fit_loop.OPACITY / 0.8 * kept)
 
 
-def test_a_fine_step_sees_the_rows_on_one_side_of_a_cut(photographs):
-    """As the whole photograph shows them, each about as often as any other."""
-    images, cameras, _ = photographs
-    sizes, height = [], cameras.size[0]
-
-    def renderer(gaussians, seen):
-        sizes.append(seen.size[0])
-        return RENDERER(gaussians, seen)
-
-    options = FitOptions(num_steps=12, half_resolution=0.5)
-    run = FitLoop(images, cameras, InitialScene(initial(photographs)), renderer, options)
-    run.run()
-    assert set(sizes[1:7]) == {height // 2} and all(height // 4 <= size <= 3 * height // 4 for size in sizes[7:13])
-    rows, seen = slice(7, 25), cameras.select([3])
-    with torch.no_grad():
-        whole, part = (RENDERER(run.gaussians(), each).color for each in (seen, fit_loop.rows_of(seen, rows)))
-    # Gaussians beside the image are stretched a little otherwise.
-    torch.testing.assert_close(part, whole[..., rows, :], rtol=0, atol=5e-3)
-    cuts = [run.rows() for _ in range(2000)]
-    shares = [sum(cut.start <= row < cut.stop for cut in cuts) / len(cuts) for row in (0, 9, 20, 30, 39)]
-    assert all(abs(share - 0.5) < 0.05 for share in shares)
-
-
 def test_what_shows_nothing_is_removed(photographs, monkeypatch):
     monkeypatch.setattr(fit_loop, "PRUNE_EVERY", 1)
     images, cameras, _ = photographs

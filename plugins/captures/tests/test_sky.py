@@ -28,20 +28,16 @@ def capture(cards, num_views=7):
     return images, (outlines < 0.6).all(1), cameras
 
 
-def lowered_wall():
-    middle, sides, paint = World(0, cards=0).cards[0]
-    return middle + np.array([0, 4.7, 0]), sides, paint
-
-
-def found(images, cameras):
-    return find_sky(images, cameras, plane_sweep(images, cameras), plain(images))
-
-
 def test_a_plain_sky_is_found_up_to_the_outlines_before_it():
-    images, sky, cameras = capture([lowered_wall(), *World(0).cards[1:]])
-    assert 0.2 < sky.float().mean() < 0.6
-    mask = found(images, cameras)
+    """Below the horizon, as cameras that look down would have it, it is a floor."""
+    middle, sides, paint = World(0, cards=0).cards[0]
+    images, sky, cameras = capture([(middle + np.array([0, 4.7, 0]), sides, paint), *World(0).cards[1:]])
+    stereo = plane_sweep(images, cameras)
+    mask = find_sky(images, cameras, stereo, plain(images))
     assert (mask & sky).sum() > 0.95 * sky.sum() and (mask & ~sky).sum() < 0.05 * sky.sum()
+    tilt = torch.tensor([[1.0, 0, 0, 0], [0, 0.6, 0.8, 0], [0, -0.8, 0.6, 0], [0, 0, 0, 1]])
+    down = replace(cameras, world_from_camera=cameras.world_from_camera @ tilt)
+    assert not find_sky(images, down, stereo, plain(images)).any()
 
 
 @pytest.mark.parametrize("gray", [0.5, 0.9])
@@ -50,17 +46,7 @@ def test_a_plain_wall_is_none(gray):
     near = np.array([0.4, -1.0, 0.0]), np.array([[0.5, 0.0, 0.0], [0.0, 1.5, 0.0]]), np.full((8, 8, 3), gray / 0.4)
     images, _, cameras = capture([World(0).cards[0], near])
     assert (plain(images).float().mean((1, 2)) > 0.1).all()
-    assert not found(images, cameras).any()
-
-
-def test_what_lies_below_the_horizon_is_none():
-    """Cameras that look down see a plain floor up to their upper border."""
-    images, _, cameras = capture([lowered_wall()])
-    tilt = torch.tensor([[1.0, 0, 0, 0], [0, 0.6, 0.8, 0], [0, -0.8, 0.6, 0], [0, 0, 0, 1]])
-    down = replace(cameras, world_from_camera=cameras.world_from_camera @ tilt)
-    given = images, plane_sweep(images, cameras), plain(images)
-    assert find_sky(given[0], cameras, *given[1:]).any()
-    assert not find_sky(given[0], down, *given[1:]).any()
+    assert not find_sky(images, cameras, plane_sweep(images, cameras), plain(images)).any()
 
 
 @pytest.mark.parametrize(("agreeing", "doubted"), [(0.3, 1), (0.8, 0)])
@@ -71,11 +57,8 @@ def test_agreement_that_may_be_chance_counts_less(agreeing, doubted):
     support = torch.ones(5, 60, 40, dtype=torch.int32)
     support[:, 30 : 30 + round(30 * agreeing)] = 2
     depth = torch.ones(5, 60, 40)
-    cameras = Cameras(
-        torch.eye(4).expand(1, 5, 4, 4),
-        torch.tensor([[40.0, 0, 20], [0, 40, 30], [0, 0, 1]]).expand(1, 5, 3, 3),
-        (60, 40),
-    )
+    intrinsics = torch.tensor([[40.0, 0, 20], [0, 40, 30], [0, 0, 1]]).expand(1, 5, 3, 3)
+    cameras = Cameras(torch.eye(4).expand(1, 5, 4, 4), intrinsics, (60, 40))
     settled = without_guesses(images, cameras, stereo_of(depth, support))
     assert torch.equal(settled.support[:, :25], support[:, :25])
     assert torch.equal(settled.support[:, 35:], support[:, 35:] - doubted)
