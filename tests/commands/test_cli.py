@@ -209,9 +209,9 @@ def test_a_command_runs_with_flags_and_overrides(command):
         (["placement=haed"], "Could not find 'placement/haed'. Did you mean 'head'? Available in 'placement': aggr"),
         (["placment=head"], "Could not override 'placment': Key 'placment' is unknown. Did you mean 'placement'?"),
         (
-            ["reconstruction.quality=best"],
-            "Could not override 'reconstruction.quality': Key 'reconstruction' is unknown; "
-            "choose one first: reconstruction=fit",
+            ["reconstruction.qualty=best"],
+            "Could not override 'reconstruction.qualty': Key 'reconstruction' is unknown; "
+            "choose one first: reconstruction=f",
         ),
         (
             ["placement=full", "placement.every=1"],

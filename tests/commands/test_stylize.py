@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 from plyfile import PlyData
 
-from anystyle.commands import stylize
+from anystyle.commands import film, stylize
 from anystyle.commands.export import export, parser
 from anystyle.errors import UserError
 from anystyle.formats import Ply
@@ -95,8 +95,10 @@ def test_every_file_is_there_and_agrees(photographs, tmp_path):
     cameras = json.loads((out / "cameras.json").read_text())
     assert [view["name"] for view in cameras["views"]] == ["IMG 0", "IMG 1"]
     assert cameras["views"][0]["width"] == 80
-    with av.open(str(out / "video.mp4")) as container:
-        assert sum(1 for _ in container.decode(video=0)) == 3
+    film.main([str(out), "--out", str(tmp_path / "again.mp4"), "video.frames=3", "video.scale=0.5"])
+    for made in (out / "video.mp4", tmp_path / "again.mp4"):
+        with av.open(str(made)) as container:
+            assert [(frame.width, frame.height) for frame in container.decode(video=0)] == 3 * [(36, 28)]
 
 
 def test_a_result_that_cannot_be_written_leaves_nothing(photographs, tmp_path, capsys, monkeypatch):

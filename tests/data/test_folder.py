@@ -6,7 +6,7 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data.folder import cover, read_views, tell_of_cut
+from anystyle.data.folder import cover, read_originals, read_views, tell_of_cut
 from anystyle.data.images import SUFFIXES
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
@@ -343,6 +343,8 @@ def test_panoramas_are_no_photographs(tmp_path, caplog):
         Image.linear_gradient("L").resize((64, 32)).save(tmp_path / f"{name}.jpg", xmp=xmp % kind)
     views, _ = read_views([tmp_path], short_side=28, multiple=14, max_views=4)
     assert views.names == ("plain",)
-    assert "sphere.jpg is a panorama (equirectangular)" in caplog.text
-    assert "phone.jpg is a panorama (cylindrical)" in caplog.text
+    assert "sphere.jpg is a panorama (equirectangular, 64x32)" in caplog.text
+    assert "phone.jpg is a panorama (cylindrical, 64x32)" in caplog.text
     assert "all photographs are twice as wide as high, as 360° cameras take them" in caplog.text
+    originals = read_originals([tmp_path], longest=28, max_views=4)
+    assert [one.name for one in originals] == ["plain", "sphere"] and originals[1].picture.size == (64, 32)

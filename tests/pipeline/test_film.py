@@ -220,5 +220,6 @@ def test_the_command_writes_a_folder_or_the_file_that_it_is_told(tmp_path, capsy
     )
     for out, film in (("made", "made/video.mp4"), ("new/a.mp4", "new/a.mp4")):
         command.main([str(tmp_path / "scene.ply"), "--out", str(tmp_path / out), "video.frames=2", "video.height=48"])
-        assert capsys.readouterr().out.strip().endswith(film)
+        told = capsys.readouterr()
+        assert told.out.strip().endswith(film) and told.err == "film of 2 frames of 64 x 48, 24 a second …\n"
         assert len(frames_of(tmp_path / film)) == 2

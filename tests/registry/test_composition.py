@@ -18,3 +18,9 @@ def test_every_training_composes(words):
 @pytest.mark.parametrize("command", ["stylize", "evaluate"])
 def test_every_command_composes(command):
     assert compose(command).seed == 0
+
+
+def test_options_that_one_plugin_has_choose_it_where_no_configuration_does():
+    chosen = compose("stylize", ["reconstruction.quality=draft"])
+    assert chosen == compose("stylize", ["reconstruction=fit", "reconstruction.quality=draft"])
+    assert compose("stylize", ["reconstruction=feedforward"]).reconstruction.keys() == {"_target_"}

@@ -142,7 +142,7 @@ class Fit(Reconstruction):
         # Each with its gradient and the optimiser's two moments.
         require(4 * 4 * parameters, f"{num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
         photographs = groups(views.images[0], views.cameras, views.names)
-        heldout, masks = held_out(photographs, self.holdout), Masks.of(views)
+        heldout, masks = held_out(photographs, self.holdout, views.cameras), Masks.of(views)
         with torch.enable_grad():
             result = fit_photographs(
                 views.images[0],

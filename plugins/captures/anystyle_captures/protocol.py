@@ -1,9 +1,9 @@
 """Reconstructions of captures, judged on photographs that they never saw."""
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import isnan, nan
+from math import nan
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -12,11 +12,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from anystyle.contracts import Verdict
+from anystyle.contracts import Method, Metric, StyleSource, Verdict
 from anystyle.contracts.protocol import SCENE, Evaluation, Protocol, Row
 from anystyle.data.folder import read_originals, read_views
+from anystyle.data.images import read_image
 from anystyle.data.photo_masks import masked_views
 from anystyle.errors import UserError
+from anystyle.evaluation.judge import judge_scene, mean
+from anystyle.examples import resolved
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.documents import as_number, read_json
 from anystyle.io.sheet import to_pil
@@ -27,7 +30,7 @@ from anystyle.pipeline.encode import encoder, scene_from_known
 from anystyle.pipeline.styles import slug
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
-from anystyle.types import OnProgress, Progress, Scene, Style, Views, no_progress
+from anystyle.types import Comparison, OnProgress, Progress, Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
 from anystyle_captures.camera_files.samples import write_wall
@@ -39,6 +42,10 @@ from anystyle_captures.twins import groups, held_out
 
 BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher"}
 KINDS = ("fit", "feedforward")
+PAINTING = "example:wave"
+"""The style in which metrics judge fitted scenes where none is configured."""
+OPAQUE = 0.9
+"""Opacity from which on a pixel of the fit has a depth."""
 
 
 class _Result(NamedTuple):
@@ -57,8 +64,14 @@ class Captures(Protocol):
     fit has the exposure of neighbouring views. ``matched_psnr`` is PSNR after an affine change of each view's colours.
     CPU seconds of the cameras, of each reconstruction and of restyling it once are in the provenance, under ``costs``.
 
+    Metrics that are chosen judge all views of each capture: the ``photographs`` themselves, the ``unstyled`` fit, and
+    the fit ``stylized`` in each style, with the cameras and the depth of the fit.
+
     Args:
         stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
+        method: How fitted scenes take the styles that metrics judge; by default the branch.
+        metrics: By name, such as ``consistency``.
+        styles: Images; by default one painting of the package.
         captures: Folders of photographs, or videos.
         poses: ``sfm`` estimates cameras; ``known`` takes those stored beside the photographs.
         quality: The quality of the fit; see :class:`~anystyle_captures.fit.Fit`.
@@ -78,6 +91,9 @@ class Captures(Protocol):
         self,
         *,
         stylizer: Stylizer,
+        method: Method | None = None,
+        metrics: Mapping[str, Metric] | None = None,
+        styles: StyleSource | None = None,
         captures: Sequence[str],
         poses: Literal["sfm", "known"] = "sfm",
         quality: QualityLevel = "good",
@@ -95,7 +111,9 @@ class Captures(Protocol):
         self.fit = Fit(quality=quality, num_gaussians=num_gaussians, num_steps=num_steps, holdout=holdout)
         self.short_side, self.take = short_side, take
         self.lpips = lpips.load(lpips_backbone, weights)
+        self.method, self.metrics, self.styles = method or Branch(), metrics or {}, styles
         self.better = {**BETTER, self.lpips.name: "lower"}
+        self.better |= {score: better for metric in self.metrics.values() for score, better in metric.better.items()}
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -116,21 +134,23 @@ class Captures(Protocol):
                     write_json(temporary / "record.json", self._judge(path, temporary))
             what = f"record of a capture; delete {folder}"
             record: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
-            if self.lpips.name not in record.get("scores", {}).get(KINDS[0], {}):
-                told = f"{folder} was judged by another network than {self.lpips.name}'s, or an earlier version"
+            judged = {score for scores in record.get("scores", {}).values() for score in scores}
+            if lacking := [score for score in self.better if score not in judged]:
+                told = f"{folder} was judged without {lacking[0]}, by other metrics or networks or an earlier version"
                 raise UserError(f"{told}; delete it")
             records[name] = record
-            for kind in KINDS:
-                scores = {score: as_number(value) for score, value in record["scores"][kind].items()}
+            for kind, values in record["scores"].items():
+                scores = {score: as_number(value) for score, value in values.items()}
                 files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
                 rows.append(Row(name, kind, scores, {what: file for what, file in files.items() if file.is_file()}))
         on_progress(Progress.count("captures", len(self.captures), len(self.captures)))
-        groups = {kind: _mean(self.better, [row.scores for row in rows if row.style == kind]) for kind in KINDS}
+        kinds = dict.fromkeys(row.style for row in rows)
+        groups = {kind: _mean([row.scores for row in rows if row.style == kind]) for kind in kinds}
         for row in rows:
             scene = groups.setdefault(f"{SCENE}{row.scene}", {})
             scene |= {f"{row.style}_{score}": value for score, value in row.scores.items()}
         return Evaluation(
-            scores=groups["fit"],
+            scores=groups["fit"] | groups.get("stylized", {}),
             n=sum(int(record["heldout"]) for record in records.values()),
             better=self.better,
             groups=groups,
@@ -151,7 +171,7 @@ class Captures(Protocol):
         count = views.images.shape[1]
         assert views.cameras is not None
         different = groups(views.images[0], views.cameras, views.names)
-        chosen = list(held_out(different, self.fit.holdout))
+        chosen = list(held_out(different, self.fit.holdout, views.cameras))
         if not chosen:
             raise UserError(
                 f"{path} has {len(different)} photographs with cameras, and every {self.fit.holdout}th is to be held "
@@ -172,6 +192,8 @@ class Captures(Protocol):
             scores[kind] = self._quality(result.renders, photographs, measured)
             costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
             costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
+            if kind == "fit" and self.metrics:
+                scores |= self._stylized(views, result.scene, path.stem, folder)
             for index, render in enumerate(result.renders):
                 to_pil(render).save(folder / f"{kind}_{index}.png")
         for index, photograph in enumerate(photographs):
@@ -249,6 +271,33 @@ class Captures(Protocol):
         distance = self.lpips.compare(self.lpips.describe(renders), self.lpips.describe(photographs))
         return quality | {self.lpips.name: float(distance.mean())}
 
+    def _stylized(self, views: Views, scene: Scene, name: str, folder: Path) -> dict[str, Mapping[str, float]]:
+        """Scores of the photographs, of the fit and of the fit in each style, along the fit's depth."""
+        stylizer, device, cameras = self.stylizer, self.stylizer.device, scene.cameras
+        styles = [] if self.styles is None else [self.styles.read(index) for index in range(len(self.styles))]
+        styles = styles or [Style(image=read_image(resolved(Path(PAINTING)))[None], names=(PAINTING,))]
+        painted: list[Tensor] = []
+        for style in styles:
+            image = None if style.image is None else style.image.to(device)
+            embedding = stylizer.embed(text=style.text if image is None else None, image=image)
+            gaussians = self.method(stylizer, scene, style.to(device), embedding)
+            with torch.no_grad():
+                painted.append(stylizer.render(gaussians, cameras).color)
+        to_pil(painted[0][0, 0]).save(folder / "stylized_0.png")
+        with torch.no_grad():
+            plain = stylizer.render(stylizer.unstyled(scene), cameras)
+        depth = torch.where(plain.alpha > OPAQUE, plain.depth / plain.alpha, 0)
+        photographs, scores = views.images.to(device), dict[str, Mapping[str, float]]()
+        same = {"photographs": [photographs] * len(styles), "unstyled": [plain.color] * len(styles)}
+        for kind, of_styles in (same | {"stylized": painted}).items():
+            rows = [
+                Comparison(photographs, images, style.to(device), cameras, depth, (name,), style.names or (str(place),))
+                for place, (images, style) in enumerate(zip(of_styles, styles, strict=True))
+            ]
+            found = judge_scene(self.metrics, rows).values()
+            scores[kind] = {score: value for one in found for score, value in one.scores.items()}
+        return scores
+
     @torch.no_grad()
     def _restyle_seconds(self, scene: Scene) -> float:
         picture = torch.linspace(0, 1, 64).expand(1, 3, 64, 64) * torch.tensor([1.0, 0.6, 0.2]).view(1, 3, 1, 1)
@@ -258,7 +307,6 @@ class Captures(Protocol):
         return time.process_time() - start
 
 
-def _mean(names: Iterable[str], scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def _mean(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Over captures with scores; NaN where there are none."""
-    known = [row for row in scores if not isnan(row["psnr"])]
-    return {name: sum(row[name] for row in known) / len(known) if known else nan for name in names}
+    return {name: mean([row[name] for row in scores]) for name in dict.fromkeys(name for row in scores for name in row)}

@@ -20,6 +20,7 @@ from torch.nn.functional import interpolate
 from anystyle.errors import UserError
 from anystyle.types import Cameras, Value
 from anystyle_captures.stereo_kernels import aggregate, best_planes, sweep
+from anystyle_captures.twins import SAME_PLACE
 
 logger = logging.getLogger(__name__)
 NUM_PLANES, NUM_NEIGHBORS = 64, 4
@@ -97,6 +98,11 @@ class _Rig:
         rotation, translation = self.camera_from_world[:, :3, :3], self.camera_from_world[:, :3, 3]
         return -(rotation.mT @ translation[..., None])[..., 0]
 
+    @property
+    def same_place(self) -> float:
+        """Distance up to which cameras show no parallax, as the views of a panorama."""
+        return SAME_PLACE * float((self.centers - self.centers.mean(0)).norm(dim=1).amax())
+
     def project(self, view: int, points: Float[Tensor, "P 3"]) -> tuple[Float[Tensor, "P 2"], Float[Tensor, " P"]]:
         """Pixels and depths of points in world space; a pixel is only valid where the depth is above 0."""
         motion = self.camera_from_world[view]
@@ -128,7 +134,7 @@ def _ranges(rig: _Rig, points: Sequence[Tensor]) -> Float[Tensor, "V 2"]:
 def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> list[list[int]]:
     """For each view, greedily, those that together show its points, each under about the preferred angle."""
     height, width = size
-    centers, result = rig.centers, []
+    centers, result, near = rig.centers, [], rig.same_place
     for view, shown in enumerate(points):
         away, weights = shown.double() - centers[view], []
         for other in range(len(centers)):
@@ -137,7 +143,8 @@ def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> li
             cosine = torch.cosine_similarity(away, shown.double() - centers[other], dim=-1)
             angle = torch.rad2deg(cosine.clamp(-1, 1).acos())
             spread = torch.where(angle < ANGLE, 0.5 * ANGLE, 1.3 * ANGLE)
-            weights.append((-0.5 * ((angle - ANGLE) / spread).square()).exp() * inside * (other != view))
+            apart = bool((centers[other] - centers[view]).norm() > near)
+            weights.append((-0.5 * ((angle - ANGLE) / spread).square()).exp() * inside * apart)
         weight, seen, best = torch.stack(weights), torch.zeros(len(shown), dtype=torch.float64), []
         for _ in range(NUM_NEIGHBORS):
             gain = (weight / (1 + 2 * seen)).sum(1)
@@ -156,7 +163,7 @@ def _nearest(rig: _Rig, view: int) -> list[int]:
     distance = (centers - centers[view]).norm(dim=-1)
     away = axes @ axes[view] < 0.5
     order = torch.argsort(distance + away * (1 + distance.max()))
-    return [int(other) for other in order if other != view][:NUM_NEIGHBORS]
+    return [int(other) for other in order if distance[other] > rig.same_place][:NUM_NEIGHBORS]
 
 
 def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig, valid: Bool[Tensor, "V H W"]) -> list[Tensor]:

@@ -42,6 +42,8 @@ FINER = 2 / 3
 AGREE, ALIKE, APART = 0.5, 0.6, 0.5
 """Photographs verify a pixel where they correlate by more than ``AGREE``; they verify a pair where this is so in
 ``ALIKE`` of the pixels that it sees, and their own score is at most ``APART``."""
+BLOCK = 32
+"""Columns of an image that are smoothed at once."""
 EVIDENCE = 0.1
 """The share of verified pixels in which a result has more contrast than ``ROUNDING``, for it to be judged."""
 
@@ -84,8 +86,16 @@ def local_mean(
     values: Float[Tensor, "M C H W"], mask: Float[Tensor, "M 1 H W"], sigma: float
 ) -> Float[Tensor, "M C H W"]:
     """The Gaussian mean of those values around each pixel that a mask keeps; 0 where there are none."""
-    rows, columns = (_gaussian(size, sigma).to(values) for size in values.shape[-2:])
-    return (rows @ (values * mask) @ columns) / (rows @ mask @ columns).clamp_min(1e-6)
+    sums = _smoothed(_smoothed(torch.cat([values * mask, mask], dim=1), sigma).mT, sigma).mT
+    return sums[:, :-1] / sums[:, -1:].clamp_min(1e-6)
+
+
+def _smoothed(values: Float[Tensor, "M C H W"], sigma: float) -> Float[Tensor, "M C H W"]:
+    """Rows times a matrix of Gaussians, the part of it around each block of columns that is not 0."""
+    weights, reach, width = _gaussian(values.shape[-1], sigma).to(values), math.ceil(3 * sigma), values.shape[-1]
+    blocks = ((start, max(0, start - reach)) for start in range(0, width, BLOCK))
+    parts = [(slice(start, start + BLOCK), slice(low, start + BLOCK + reach)) for start, low in blocks]
+    return torch.cat([values[..., near] @ weights[near, block] for block, near in parts], dim=-1)
 
 
 @lru_cache(64)
@@ -133,6 +143,18 @@ def flicker(shift: Float[Tensor, "M 3"], allowed: Float[Tensor, "M 3"]) -> Float
     """Half the mean square of a shift, less the share in [0, 1] of the photographs' own that explains most of it."""
     share = ((shift * allowed).sum(1) / allowed.square().sum(1).clamp_min(1e-12)).clamp(0, 1)
     return (shift - share[:, None] * allowed).square().mean(1) / 2
+
+
+def error_of_mean(
+    values: Float[Tensor, " M"], first: Int[Tensor, " M"], second: Int[Tensor, " M"]
+) -> Float[Tensor, ""]:
+    """Standard error of the mean over pairs for other views; ``nan`` where one view is in all pairs.
+
+    The jackknife that leaves out each view with all of its pairs: pairs that share a view are not independent.
+    """
+    views = torch.cat([first, second]).unique()
+    means = [values[(first != view) & (second != view)].nanmean() for view in views] or [values.nanmean()]
+    return (torch.stack(means).var(correction=0) * (len(views) - 1)).sqrt()
 
 
 def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Frames | None) -> Links:
@@ -246,6 +268,9 @@ class Consistency(Metric):
     standard deviations of the result's colours, as far as it does not follow the photographs' own change of exposure.
     That of photographs is 0 by definition.
 
+    ``consistency_error`` is the standard error of a scene's ``consistency`` for other views of it
+    (:func:`error_of_mean`), ``nan`` of less than three.
+
     ``consistency_coverage`` is the share of the first views' pixels that are compared, and ``consistency_verified`` the
     share of visible pixels where the photographs agree. Pairs on which photographs do not agree with themselves
     (verified below 0.6, or their own score above 0.5) are left out, as are results with less contrast in the band than
@@ -270,6 +295,7 @@ class Consistency(Metric):
 
     better: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(("consistency", "consistency_short", "consistency_long", "consistency_flicker"), "lower"),
+        "consistency_error": "lower",
         **dict.fromkeys(("consistency_coverage", "consistency_verified"), "higher"),
     }
     takes = ("preds", "target", "cameras", "depth")
@@ -299,8 +325,8 @@ class Consistency(Metric):
 
     def _row(self, comparison: Comparison, row: int) -> list[float]:
         """The scores of one style of a scene, in the order of ``better``."""
-        photographs, views = (_small(images[row], SIDE) for images in (comparison.content, comparison.stylized))
-        links, allowed = self._linked(comparison, row, photographs)
+        links, allowed = self._linked(comparison, row)
+        views = _small(comparison.stylized[row], SIDE)
         first, second = links.aligned(views)
         structure = disagreement(first, second, links.verified)
         changes = flicker(colour_shift(views, first, second, links.verified), allowed)
@@ -312,15 +338,20 @@ class Consistency(Metric):
         self.pairs = [dict(zip(COLUMNS, values, strict=True)) for values in table]
         coverage, share = (values if len(values) else values.new_zeros(1) for values in (coverage, share))
         short = links.overlap >= LONG
-        parts = (structure, structure[short], structure[~short], changes, coverage, share)
+        error = error_of_mean(structure, links.first, links.second)
+        parts = (structure, structure[short], structure[~short], changes, error, coverage, share)
         return [float(part.double().nanmean()) for part in parts]
 
-    def _linked(self, comparison: Comparison, row: int, photographs: Tensor) -> tuple[Links, Tensor]:
+    def _linked(self, comparison: Comparison, row: int) -> tuple[Links, Tensor]:
         """The verified pairs of a scene and their change of colour, kept for the next style."""
-        known = _frames(comparison, row, SIDE)
-        parts = [photographs] if known is None else [photographs, *vars(known).values()]
+        cameras = comparison.cameras
+        parts = (
+            [comparison.content[row]] if comparison.depth is None else [comparison.content[row], comparison.depth[row]]
+        )
+        parts += [] if cameras is None else [cameras.world_from_camera[row], cameras.intrinsics[row]]
         key = [digest for part in parts for digest in digests(part)]
         if self._links is None or key != self._links[0]:
+            known, photographs = _frames(comparison, row, SIDE), _small(comparison.content[row], SIDE)
             if known is None:
                 warnings.warn(FOLLOWED, stacklevel=5)
             links = link(photographs, known, _frames(comparison, row, SIDE // 4))

@@ -15,7 +15,7 @@ from anystyle.testing.oracle import smooth_image
 from anystyle.types import Cameras, Comparison
 from anystyle_benchmark.distortions import blurred, flickering
 from anystyle_metrics import consistency
-from anystyle_metrics.consistency import Consistency, disagreement, flicker
+from anystyle_metrics.consistency import Consistency, disagreement, error_of_mean, flicker
 from tests.support.known_scene import photographed_wall
 
 CAPTURES = {
@@ -67,6 +67,17 @@ def test_flicker_is_what_the_photographs_exposures_do_not_explain():
     shift, exposure = torch.tensor([[0.2, 0.2, 0.2]]), torch.tensor([[0.4, 0.4, 0.4]])
     assert float(flicker(shift, exposure)) == pytest.approx(0, abs=1e-9)  # half of it is followed
     assert float(flicker(shift, -exposure)) == float(flicker(shift, 0 * exposure)) == pytest.approx(0.02)
+
+
+def test_the_error_is_the_spread_of_means_over_other_views():
+    """Of scores that each view moves by itself; it is conservative where the pairs alone differ."""
+    generator, pairs = torch.Generator().manual_seed(0), torch.combinations(torch.arange(8)).unbind(1)
+    for spread, low, high in ((0.0, 0.95, 1.05), (1.0, 1.0, 1.2)):
+        views = torch.randn(500, 8, generator=generator)
+        drawn = views[:, pairs[0]] + views[:, pairs[1]] + spread * torch.randn(500, 28, generator=generator)
+        errors = torch.stack([error_of_mean(values, *pairs) for values in drawn])
+        assert low < float(errors.square().mean().sqrt() / drawn.mean(1).std()) < high
+    assert error_of_mean(torch.ones(1), *torch.tensor([[0], [1]])).isnan()
 
 
 def test_numpy_agrees_on_four_views():

@@ -26,12 +26,12 @@ from anystyle.registry.compose import (
     check_choices,
     check_words,
     choices,
+    completed,
     compose,
     config_folders,
     idle,
     override,
     refused,
-    with_plugins,
 )
 from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
@@ -104,7 +104,7 @@ def launch(
             raise JobError(error) from error  # Hydra goes on with the other jobs
 
     run_hydra = hydra.main(config_path=str(folder or paths.CONF), config_name=config_name, **VERSION_BASE)
-    with _for_hydra(with_plugins(words)):
+    with _for_hydra(completed(words)):
         try:
             run_hydra(task)()
         except JobError as failed:

@@ -1,6 +1,7 @@
 """Film a stylized scene again, along another path."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,16 +12,18 @@ from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.launch import job_folder, launch
 from anystyle.cli.run import run, words_of
 from anystyle.contracts import Renderer
+from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
-from anystyle.pipeline.beside import with_stored_cameras
+from anystyle.pipeline.beside import saved_cameras, with_stored_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.film import Film
 from anystyle.pipeline.load import default_device
 from anystyle.pipeline.request import file_of
-from anystyle.pipeline.saved import read_unturned
+from anystyle.pipeline.saved import made_at, read_unturned
 from anystyle.registry.build import build
 from anystyle.registry.compose import options
+from anystyle.types import Cameras, SourceImage
 
 KEYS = """\
   video.path=smooth|orbit|camera_path.json        video.frames=72 video.fps=24 video.height=1080 video.stills=0
@@ -53,12 +56,19 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     path = file_of(arguments.scene)
     given = read_unturned(path, splat)
     saved = with_stored_cameras(in_axes("opencv", given), path, splat.folder, given.up)
+    if (size := made_at(path)) is not None:  # photographs may be larger than the views that the scene was made of
+        views = [
+            view_camera(camera, SourceImage.covering(name, camera.size, size))
+            for name, camera in saved_cameras(saved).items()
+        ]
+        saved = replace(saved, cameras=Cameras.cat(views, dim=1))
     titles = [title for title, _ in saved.styles]
     if arguments.style not in (None, *titles):
         raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")
     title = arguments.style or titles[-1]
     gaussians = dict(saved.styles)[title].to(default_device())
     saved, out = replace(saved, styles=((title, gaussians),)), job_folder(arguments.out)
+    print(f"film {video.line(saved.cameras)} …", file=sys.stderr, flush=True)
     if out.suffix.lower() == ".mp4":
         out.parent.mkdir(parents=True, exist_ok=True)
         video.write(saved, out, render)

@@ -120,21 +120,26 @@ def _shown(source: SourceImage) -> float:
     return (right - left) * (bottom - top) / (source.size[0] * source.size[1])
 
 
-def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
+def read_originals(
+    inputs: Sequence[Path], *, longest: int, max_views: int, panorama: int | None = None
+) -> list[Original]:
     """Read photographs as :func:`read_views` does, but whole, reduced to no less than the longer side ``longest``.
 
-    Many are reduced more, to :data:`PIXELS` together.
+    Panoramas are read, too, at twice as much. Many are reduced more, to :data:`PIXELS` together.
     """
-    shots, problems = _shots(inputs, max_views)
-    longest = min(longest, round(sqrt(1.5 * PIXELS / len(shots))))
+    shots, problems = _shots(inputs, max_views, panoramas=True)
+    limit = round(sqrt(1.5 * PIXELS / len(shots)))
     films = {path: video.read_exif(path) for path in {shot.path for shot in shots if shot.frame is not None}}
 
     def original(name: str, shot: _Shot) -> Original:
         size = (shot.size[1], shot.size[0])
+        # A view that is cut from a panorama has a third of its width.
+        most = min(longest * (2 if size[1] == 2 * size[0] else 1), limit)
         if shot.frame is not None:
-            return Original(name, None, size, shot.frame, films[shot.path])
-        picture, alpha = images.open_image(shot.path, longest=longest), images.open_alpha(shot.path, longest=longest)
-        return Original(name, shot.path, size, picture, images.read_exif(shot.path), alpha)
+            frame = shot.frame.reduce(max(1, size[1] // most)) if size[1] == 2 * size[0] else shot.frame
+            return Original(name, None, size, frame, films[shot.path], panorama=panorama)
+        picture, alpha = images.open_image(shot.path, longest=most), images.open_alpha(shot.path, longest=most)
+        return Original(name, shot.path, size, picture, images.read_exif(shot.path), alpha, panorama)
 
     return _each(shots, problems, original)
 
@@ -313,7 +318,7 @@ class _Shot(NamedTuple):
     frame: Image.Image | None = None
 
 
-def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
+def _shots(inputs: Sequence[Path], max_views: int, *, panoramas: bool = False) -> tuple[list[_Shot], list[str]]:
     """The headers of photographs and the frames of videos, and what is wrong with the others."""
     found = [path for item in inputs for path in files_of(item)]
     paths = evenly(found, max_views)
@@ -333,11 +338,11 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
                 for number, frame in video.read_frames(path, frames_each):
                     shots.append(_Shot(path, f"{text_of(path.stem)}_{number:06d}", frame.size, frame))
             else:
-                shots.append(_Shot(path, text_of(path.stem), images.photograph_size(path)))
+                shots.append(_Shot(path, text_of(path.stem), images.photograph_size(path, panoramas=panoramas)))
         except ValueError as error:
             problems.append(str(error))
-    if shots and all(width == 2 * height for _, _, (width, height), _ in shots):
-        _log.warning("all photographs are twice as wide as high, as 360° cameras take them; cut such into views")
+    if not panoramas and shots and all(width == 2 * height for _, _, (width, height), _ in shots):
+        _log.warning("all photographs are twice as wide as high, as 360° cameras take them; poses=sfm cuts them")
     return shots or _nothing(problems), problems
 
 

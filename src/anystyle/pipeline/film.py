@@ -130,6 +130,11 @@ class Film:
                 len(shares),
             )
 
+    def line(self, seen: Cameras) -> str:
+        """What the film of a scene with these cameras will be."""
+        height, width = self.size(seen)
+        return f"of {self.frames} frames of {width} x {height}, {self.options.fps} a second"
+
     def size(self, seen: Cameras) -> tuple[int, int]:
         """Height and width of a frame in pixels, both even."""
         height, scale = self.options.height, self.options.scale

@@ -128,7 +128,8 @@ def _estimated(
     short_side, enlarge = _view_size(backbone, options, reconstruction)
     with stages("read", "the photographs"):
         most = _max_views(paths, options, reconstruction)
-        originals = read_originals(paths, longest=max(estimator.longest, 2 * short_side), max_views=most)
+        longest = max(estimator.longest, 2 * short_side)
+        originals = read_originals(paths, longest=longest, max_views=most, panorama=options.panorama)
         originals = with_masks(originals, masks)
     if len(originals) < estimator.min_views:
         few = f"{len(originals)} photographs are too few for their cameras to be found"

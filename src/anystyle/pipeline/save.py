@@ -33,9 +33,6 @@ from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
-WRITTEN = "scene, renders and video"
-"""The progress line while a result is written."""
-
 Column = tuple[str, Cell, Sequence[Cell]]
 """Of a sheet: title, style image if there is one, renders as small as its cells."""
 
@@ -53,7 +50,7 @@ def save(results: Results | Result, folder: str | Path) -> None:
             failures = write(results, temporary)
         else:
             writer = _ResultWriter(results.run, temporary)
-            with results.run.stages("write", WRITTEN):
+            with results.run.stages("write", writer.line):
                 writer.write(results, temporary)
             failures = writer.failures
     failures.tell(Path(folder))
@@ -93,7 +90,7 @@ def write(results: Results, folder: Path) -> Failures:
     columns, styles, report = [*writer.before], [("unstyled", run.unstyled)], {}
 
     def wait() -> list[Column]:
-        with run.stages("write", WRITTEN):
+        with run.stages("write", writer.line):
             return [future.result() for future in written]
 
     # A result is rendered and encoded in a thread while the next one is computed: memory holds two, and no film.
@@ -131,6 +128,8 @@ class _ResultWriter:
     def __init__(self, run: StylizeRun, folder: Path, *, several: bool = False) -> None:
         self.run, self.encoded, self.folder = run, run.encoded, folder
         self.options, self.film = run.request.export, Film(run.request.video)
+        filmed = run.encoded.cameras if run.encoded.targets is None else run.encoded.targets[1]
+        self.line = f"scene, renders and a film {self.film.line(filmed)}"
         self.failures, self.stop = Failures(), Event()
         names = [name for name in self.options.formats if name != "ply"]
         self.formats: dict[str, type[Format]] = {name: catalog().find("format", name).load() for name in names}

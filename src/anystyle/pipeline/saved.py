@@ -142,9 +142,9 @@ def _report(folder: Path) -> SavedReport:
     return read_json(folder / "report.json", SavedReport, what="report")
 
 
-def made_at(path: Path) -> int | None:
-    """The shorter side in pixels of the views of results in a folder, or beside a file; ``None`` if it is unknown."""
-    return next((min(report.size) for report in _reports_of(path) if report.size), None)
+def made_at(path: Path) -> tuple[int, int] | None:
+    """The height and width of the views of results in a folder, or beside a file; ``None`` if they are unknown."""
+    return next((report.size for report in _reports_of(path) if report.size), None)
 
 
 def _reports_of(path: Path) -> Iterator[SavedReport]:
@@ -207,7 +207,7 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
         given = read_unturned(path, options)
         saved = in_axes("opencv", given)
         sees_features = stylizer.branch.gaussian_head is not None
-        side = made_at(path) or (stylizer.backbone.resolution if sees_features else PAINTED)
+        side = min(made_at(path) or [stylizer.backbone.resolution if sees_features else PAINTED])
         multiple, renderer = stylizer.backbone.patch_size, stylizer.renderer
         cameras, sources, origin = cameras_of(path, saved, views, options, renderer, multiple, side, given.up)
         made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)

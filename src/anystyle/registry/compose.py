@@ -28,6 +28,9 @@ VERSION_BASE: dict[str, Any] = {"version_base": "1.3"} if hydra.__version__.star
 ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 """What Hydra and OmegaConf raise."""
 
+UNCHOSEN = ("reconstruction",)
+"""Groups of which no configuration chooses a plugin."""
+
 _UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
 """How Hydra says that one of several choices of a group is not there; of the only choice it raises what has options."""
 
@@ -53,7 +56,7 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
     folder = str((conf or paths.CONF).absolute())
     try:
         with initialize_config_dir(folder, job_name=config_name, **VERSION_BASE):
-            return hydra_compose(config_name, overrides=with_plugins(overrides))
+            return hydra_compose(config_name, overrides=completed(overrides))
     except Exception as error:
         raise refused(error) from error
 
@@ -104,9 +107,19 @@ def idle(config: DictConfig) -> set[str]:
     return {name for name, term in (config.get("loss") or {}).items() if name in names or "_target_" not in term}
 
 
-def with_plugins(words: Sequence[str]) -> list[str]:
-    """The same words; a search path of the user's, which replaces a configuration's own, also has the plugins."""
-    return [re.sub(r"^(\+*hydra\.searchpath=\[(?!.*anystyle://).+)\]$", r"\1,anystyle://]", word) for word in words]
+def completed(words: Sequence[str]) -> list[str]:
+    """The same words with what goes without saying.
+
+    A search path of the user's, which replaces a configuration's own, also has the plugins. Options of a group of
+    :data:`UNCHOSEN` choose the one plugin that has them.
+    """
+    words = [re.sub(r"^(\+*hydra\.searchpath=\[(?!.*anystyle://).+)\]$", r"\1,anystyle://]", word) for word in words]
+    keys = [word.partition("=")[0] for word in words]
+    for group in (group for group in UNCHOSEN if group not in keys):
+        given = {key.split(".")[1] for key in keys if key.startswith(f"{group}.")}
+        having = [name for name in catalog().names(group) if given <= (arguments(catalog().find(group, name)) or set())]
+        words += [f"{group}={having[0]}"] if given and len(having) == 1 else []
+    return words
 
 
 def check_choices(words: Sequence[str]) -> None:
