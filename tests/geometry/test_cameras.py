@@ -31,6 +31,16 @@ def test_a_path_meets_its_cameras_and_stays_rigid(count):
     torch.testing.assert_close(path.world_from_camera[:, [0, -1]], cameras.world_from_camera[:, [0, -1]])
 
 
+def test_of_cameras_in_one_place_a_path_takes_those_that_turn_least():
+    places = ring(4)
+    turn = torch.eye(4)
+    turn[:3, :3] = torch.from_numpy(Rotation.from_euler("y", 2.0).as_matrix())
+    around = torch.stack([places.world_from_camera, places.world_from_camera @ turn], 2)
+    around[:, 1:] = around[:, 1:].flip(2)
+    views = Cameras(around.flatten(1, 2), places.intrinsics.repeat(1, 2, 1, 1), places.size)
+    torch.testing.assert_close(smooth_path(views, 9).world_from_camera, smooth_path(places, 9).world_from_camera)
+
+
 def test_one_camera_sways_around_what_it_looks_at():
     path = smooth_path(ring(1), 16)
     inverse = path.camera_from_world[0]

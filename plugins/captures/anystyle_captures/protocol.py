@@ -174,7 +174,7 @@ class Captures(Protocol):
         count = views.images.shape[1]
         assert views.cameras is not None
         different = groups(views.images[0], views.cameras, views.names)
-        chosen = list(held_out(different, self.fit.holdout))
+        chosen = list(held_out(different, self.fit.holdout, views.cameras))
         if not chosen:
             raise UserError(
                 f"{path} has {len(different)} photographs with cameras, and every {self.fit.holdout}th is to be held "

@@ -20,6 +20,7 @@ from torch.nn.functional import interpolate
 from anystyle.errors import UserError
 from anystyle.types import Cameras, Value
 from anystyle_captures.stereo_kernels import aggregate, best_planes, sweep
+from anystyle_captures.twins import SAME_PLACE
 
 logger = logging.getLogger(__name__)
 NUM_PLANES, NUM_NEIGHBORS = 64, 4
@@ -44,11 +45,19 @@ MIN_POINTS = 32
 
 @dataclass(frozen=True)
 class StereoDepth(Value):
-    """The depth of every pixel; not a number where a photograph is masked."""
+    """The depth of every pixel: not a number where a photograph is masked, infinite in the sky.
+
+    Args:
+        depth: Along the axis of the camera.
+        confidence: Correlation of the windows at this depth.
+        support: The number of other views that have a surface there; negative where that could only be chance.
+        at_infinity: Correlation of the windows at infinity.
+    """
 
     depth: Float[Tensor, "V H W"]
     confidence: Float[Tensor, "V H W"]
     support: Int[Tensor, "V H W"]
+    at_infinity: Float[Tensor, "V H W"]
 
 
 def plane_sweep(
@@ -89,6 +98,11 @@ class _Rig:
         rotation, translation = self.camera_from_world[:, :3, :3], self.camera_from_world[:, :3, 3]
         return -(rotation.mT @ translation[..., None])[..., 0]
 
+    @property
+    def same_place(self) -> float:
+        """Distance up to which cameras show no parallax, as the views of a panorama."""
+        return SAME_PLACE * float((self.centers - self.centers.mean(0)).norm(dim=1).amax())
+
     def project(self, view: int, points: Float[Tensor, "P 3"]) -> tuple[Float[Tensor, "P 2"], Float[Tensor, " P"]]:
         """Pixels and depths of points in world space; a pixel is only valid where the depth is above 0."""
         motion = self.camera_from_world[view]
@@ -120,7 +134,7 @@ def _ranges(rig: _Rig, points: Sequence[Tensor]) -> Float[Tensor, "V 2"]:
 def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> list[list[int]]:
     """For each view, greedily, those that together show its points, each under about the preferred angle."""
     height, width = size
-    centers, result = rig.centers, []
+    centers, result, near = rig.centers, [], rig.same_place
     for view, shown in enumerate(points):
         away, weights = shown.double() - centers[view], []
         for other in range(len(centers)):
@@ -129,7 +143,8 @@ def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> li
             cosine = torch.cosine_similarity(away, shown.double() - centers[other], dim=-1)
             angle = torch.rad2deg(cosine.clamp(-1, 1).acos())
             spread = torch.where(angle < ANGLE, 0.5 * ANGLE, 1.3 * ANGLE)
-            weights.append((-0.5 * ((angle - ANGLE) / spread).square()).exp() * inside * (other != view))
+            apart = bool((centers[other] - centers[view]).norm() > near)
+            weights.append((-0.5 * ((angle - ANGLE) / spread).square()).exp() * inside * apart)
         weight, seen, best = torch.stack(weights), torch.zeros(len(shown), dtype=torch.float64), []
         for _ in range(NUM_NEIGHBORS):
             gain = (weight / (1 + 2 * seen)).sum(1)
@@ -148,7 +163,7 @@ def _nearest(rig: _Rig, view: int) -> list[int]:
     distance = (centers - centers[view]).norm(dim=-1)
     away = axes @ axes[view] < 0.5
     order = torch.argsort(distance + away * (1 + distance.max()))
-    return [int(other) for other in order if other != view][:NUM_NEIGHBORS]
+    return [int(other) for other in order if distance[other] > rig.same_place][:NUM_NEIGHBORS]
 
 
 def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig, valid: Bool[Tensor, "V H W"]) -> list[Tensor]:
@@ -187,15 +202,20 @@ def _sweep(
     valid: Bool[Tensor, "V H W"],
 ) -> StereoDepth:
     pixels = gray.float().contiguous().numpy()
-    depth, confidence = np.empty_like(pixels), np.empty_like(pixels)
+    depth, confidence, infinite = (np.empty_like(pixels) for _ in range(3))
     steps = torch.linspace(0, 1, num_planes, dtype=torch.float64)
 
     def estimate(view: int) -> None:
         near, far = ranges[view]
         inverse = 1 / far + (1 / near - 1 / far) * steps
-        costs = np.empty((*pixels.shape[1:], num_planes), np.float32)
-        homographies = torch.stack([_homographies(rig, view, other, inverse) for other in neighbors[view]]).numpy()
+        costs, last = (np.empty((*pixels.shape[1:], planes), np.float32) for planes in (num_planes, 1))
+        homographies, beyond = (
+            torch.stack([_homographies(rig, view, other, planes) for other in neighbors[view]]).numpy()
+            for planes in (inverse, torch.zeros_like(inverse[:1]))
+        )
         sweep(pixels[view], pixels[neighbors[view]], homographies, RADIUS, costs)
+        sweep(pixels[view], pixels[neighbors[view]], beyond, RADIUS, last)
+        infinite[view] = 1 - last[..., 0]
         sums = np.empty_like(costs)
         aggregate(costs, pixels[view], SMALL_PENALTY, LARGE_PENALTY, sums)
         best_planes(costs, sums, depth[view], confidence[view])
@@ -215,7 +235,7 @@ def _sweep(
         list(pool.map(estimate, range(len(gray))))
         depths[~valid] = nan  # agrees with nothing
         list(pool.map(check, range(len(gray))))
-    return StereoDepth(depths, torch.from_numpy(confidence), support)
+    return StereoDepth(depths, torch.from_numpy(confidence), support, torch.from_numpy(infinite))
 
 
 def _homographies(rig: _Rig, view: int, other: int, inverse: Float[Tensor, " D"]) -> Float[Tensor, "D 3 3"]:

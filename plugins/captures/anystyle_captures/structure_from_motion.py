@@ -1,15 +1,17 @@
 """Cameras by structure from motion, and the photographs as views with them."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from math import fsum
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float64
 from PIL import Image
 
 from anystyle.contracts import PosedViews, PoseEstimator, Verdict
@@ -18,6 +20,7 @@ from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
 from anystyle.types import Cameras, OnProgress, Original, no_progress
 from anystyle_captures.cache import cached, key_of
+from anystyle_captures.panorama import Cut, cut_of
 from anystyle_captures.sfm.colmap import search
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
@@ -56,10 +59,12 @@ class StructureFromMotion(PoseEstimator):
         on_progress: OnProgress,
     ) -> PosedViews | Verdict:
         """Find cameras in the frame of the most central one, whose median point lies at depth 1."""
+        cut, originals = cut_of(originals)
         photographs = [
             replace(
                 Photograph.from_exif(original.name, np.array(original.picture.convert("RGB")), original.exif),
                 mask=None if original.mask is None else np.array(original.mask),
+                cut=cut,
             )
             for original in originals
         ]
@@ -74,34 +79,73 @@ class StructureFromMotion(PoseEstimator):
         registered = np.flatnonzero(model.registered).tolist()
         if len(registered) < MIN_VIEWS:
             return result.verdict
-        sizes = [(original.size[1], original.size[0]) for original in originals]
-        shown = [sizes[view] for view in registered]
-        size = common_size(shown, short_side=short_side, multiple=multiple, enlarge=enlarge)
-        require_views(len(registered), size)
+        shots = [
+            shot
+            for view in registered
+            for shot in (
+                [_shot(originals[view], photographs[view], model, view)]
+                if cut is None
+                else _cut_shots(cut, originals[view], model, view)
+            )
+        ]
+        size = common_size([shot.size for shot in shots], short_side=short_side, multiple=multiple, enlarge=enlarge)
+        require_views(len(shots), size)
         pictures, intrinsics = [], []
-        for view in registered:
-            original, photograph, lens = originals[view], photographs[view], model.lens(view)
-            undistorted = Image.fromarray(lens.undistorted(photograph.pixels))
-            picture, source = cover(original.name, undistorted, sizes[view], size, whole=True)
-            straightened = partial(_undistorted, lens, photograph.size) if lens.is_distorted() else None
-            pictures.append((picture, replace(source, path=original.path, straightened=straightened)))
-            # The lens is in pixels of the photograph, which may be reduced in size.
-            scales = [source.size[1] / photograph.size[1], source.size[0] / photograph.size[0], 1.0]
-            matrix = lens.pinhole().intrinsics * np.array(scales)[:, None]
-            intrinsics.append(source.view_intrinsics(torch.from_numpy(matrix)))
+        for shot in shots:
+            whole = shot.picture.convert("RGB")
+            straight = whole if shot.straighten is None else shot.straighten(whole)
+            picture, source = cover(shot.name, straight, shot.size, size, whole=True)
+            pictures.append((picture, replace(source, path=shot.path, straightened=shot.straighten)))
+            intrinsics.append(source.view_intrinsics(torch.from_numpy(shot.intrinsics)))
         sources = tuple(source for _, source in pictures)
         tell_of_cut(sources)
-        scene_from_world = _central_frame(model, registered)
-        poses = scene_from_world.poses(torch.from_numpy(model.world_from_camera[registered]))
+        scene_from_world = _central_frame(shots)
+        poses = scene_from_world.poses(torch.from_numpy(np.stack([shot.world_from_camera for shot in shots])))
         cameras = Cameras(poses.float()[None], torch.stack(intrinsics).float()[None], size)
-        points = scene_from_world.points(torch.from_numpy(model.points)).float()
         return PosedViews(
             as_views(pictures, cameras),
             sources,
-            tuple(points[torch.from_numpy(model.seen[:, view])] for view in registered),
+            tuple(scene_from_world.points(torch.from_numpy(shot.points)).float() for shot in shots),
             result.verdict,
             result.cached,
         )
+
+
+class _Posed(NamedTuple):
+    """A view that is to be: a picture and what straightens it, then of ``size``, width and height, with a camera."""
+
+    name: str
+    path: Path | None
+    picture: Image.Image
+    straighten: Callable[[Image.Image], Image.Image] | None
+    size: tuple[int, int]
+    intrinsics: Float64[np.ndarray, "3 3"]
+    world_from_camera: Float64[np.ndarray, "4 4"]
+    points: Float64[np.ndarray, "P 3"]
+
+
+def _shot(original: Original, photograph: Photograph, model: SparseModel, view: int) -> _Posed:
+    """A registered photograph without the distortion of its lens."""
+    lens, (height, width) = model.lens(view), original.size
+    straighten = partial(_undistorted, lens, photograph.size) if lens.is_distorted() else None
+    # The lens is in pixels of the photograph, which may be reduced in size.
+    scales = np.array([width / photograph.size[1], height / photograph.size[0], 1.0])
+    intrinsics, pose = lens.pinhole().intrinsics * scales[:, None], model.world_from_camera[view]
+    points = model.points[model.seen[:, view]]
+    return _Posed(original.name, original.path, original.picture, straighten, (width, height), intrinsics, pose, points)
+
+
+def _cut_shots(cut: Cut, original: Original, model: SparseModel, view: int) -> Iterator[_Posed]:
+    """The views of a registered panorama; each sees the panorama's points that lie in it."""
+    side, points = cut.side(original.size[1]), model.points[model.seen[:, view]]
+    for index, (name, rotation) in enumerate(zip(cut.names, cut.panorama_from_view, strict=True)):
+        pose = model.world_from_camera[view].copy()
+        pose[:3, :3] = pose[:3, :3] @ rotation
+        x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
+        inside = points[np.maximum(abs(x), abs(y)) < cut.slope * z]
+        called, straighten = f"{original.name}_{name}", partial(cut.view, index)
+        matrix = cut.intrinsics(side)
+        yield _Posed(called, original.path, original.picture, straighten, (side, side), matrix, pose, inside)
 
 
 @dataclass(frozen=True)
@@ -147,8 +191,9 @@ def find_cameras(
 
     lenses = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in arranged]
     pixels = [photograph.pixels for photograph in arranged]
+    cuts = [photograph.cut for photograph in arranged if photograph.cut is not None]
     masks = [(view, photograph.mask) for view, photograph in enumerate(arranged) if photograph.mask is not None]
-    key = key_of(*pixels, lenses, ordered, searches, *chain.from_iterable(masks)) if keep else None
+    key = key_of(*pixels, lenses, ordered, searches, *chain.from_iterable(masks), *cuts) if keep else None
     values, from_cache = cached("cameras", key, compute)
     model = SparseModel(**{name: tensor.numpy() for name, tensor in values["model"].items()})
     return FoundCameras(model.reordered(order), Verdict(**values["verdict"]), from_cache)
@@ -178,7 +223,7 @@ def best_search(
     judged: Callable[[SearchOptions], tuple[SparseModel, Verdict]],
 ) -> Searched:
     """Search until all photographs have a confirmed camera, and choose the best; ``judged`` does one search."""
-    longer, count = max(max(photograph.size) for photograph in photographs), len(photographs)
+    longer, count = max(max(photograph.searched_size) for photograph in photographs), len(photographs)
     found: list[Searched] = []
     for previous, options in zip([None, *searches[:-1]], searches, strict=True):
         if previous is not None and longer <= previous.max_side:
@@ -204,13 +249,13 @@ def _undistorted(lens: SimpleRadial, size: tuple[int, int], picture: Image.Image
     return Image.fromarray(lens.undistorted(np.array(picture.convert("RGB").resize((size[1], size[0])))))
 
 
-def _central_frame(model: SparseModel, registered: Sequence[int]) -> Similarity:
+def _central_frame(shots: Sequence[_Posed]) -> Similarity:
     """To the frame of the camera nearest to all others, in the unit in which the median of its points is at depth 1."""
-    positions = model.world_from_camera[registered, :3, 3]
+    positions = np.stack([shot.world_from_camera[:3, 3] for shot in shots])
     distances = np.linalg.norm(positions[:, None] - positions, axis=-1)
     # ``fsum`` rounds once, so that the order of photographs does not matter.
-    central = registered[int(np.argmin([fsum(row) for row in distances]))]
-    camera_from_world = torch.linalg.inv(torch.from_numpy(model.world_from_camera[central]))
-    seen = torch.from_numpy(model.points[model.seen[:, central]])
+    central = shots[int(np.argmin([fsum(row) for row in distances]))]
+    camera_from_world = torch.linalg.inv(torch.from_numpy(central.world_from_camera))
+    seen = torch.from_numpy(central.points)
     depth = (seen @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])[:, 2].median()
     return Similarity(1 / depth, camera_from_world[:3, :3], camera_from_world[:3, 3] / depth)

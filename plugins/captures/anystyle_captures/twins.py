@@ -21,6 +21,8 @@ captures at most 0.94."""
 MAX_TURN, MAX_SHIFT = 1.0, 0.02
 """How far the cameras of such photographs may differ: in degrees, and relative to how far cameras spread. Pictures of
 a round thing on a turntable are alike, too."""
+SAME_PLACE = 1e-5
+"""Cameras nearer to each other than this, relative to how far all spread, have one centre, as views of a panorama."""
 
 
 def groups(images: Float[Tensor, "V 3 H W"], cameras: Cameras, names: Sequence[str] = ()) -> list[list[int]]:
@@ -56,7 +58,18 @@ def groups(images: Float[Tensor, "V 3 H W"], cameras: Cameras, names: Sequence[s
     return found
 
 
-def held_out(photographs: Sequence[Sequence[int]], every: int) -> tuple[int, ...]:
-    """Every ``every``-th of :func:`groups` (0: none), from the middle of the first ``every`` on; none of fewer."""
-    chosen = photographs[every // 2 :: every] if 0 < every <= len(photographs) else []
+def held_out(photographs: Sequence[Sequence[int]], every: int, cameras: Cameras | None = None) -> tuple[int, ...]:
+    """Every ``every``-th of :func:`groups` (0: none), from the middle of the first ``every`` on; none of fewer.
+
+    Groups whose first cameras stand in one place, such as views of a panorama, which overlap, count as one.
+    """
+    places = [list(group) for group in photographs]
+    if cameras is not None:
+        centers = cameras.world_from_camera[0, :, :3, 3].double()
+        near = SAME_PLACE * (centers - centers.mean(0)).norm(dim=1).amax()
+        places = list[list[int]]()
+        for group in photographs:
+            place = next((one for one in places if (centers[one[0]] - centers[group[0]]).norm() < near), None)
+            places.append(list(group)) if place is None else place.extend(group)
+    chosen = places[every // 2 :: every] if 0 < every <= len(places) else []
     return tuple(sorted(view for group in chosen for view in group))

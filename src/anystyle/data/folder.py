@@ -120,21 +120,26 @@ def _shown(source: SourceImage) -> float:
     return (right - left) * (bottom - top) / (source.size[0] * source.size[1])
 
 
-def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
+def read_originals(
+    inputs: Sequence[Path], *, longest: int, max_views: int, panorama: int | None = None
+) -> list[Original]:
     """Read photographs as :func:`read_views` does, but whole, reduced to no less than the longer side ``longest``.
 
-    Many are reduced more, to :data:`PIXELS` together.
+    Panoramas are read, too, at twice as much. Many are reduced more, to :data:`PIXELS` together.
     """
-    shots, problems = _shots(inputs, max_views)
-    longest = min(longest, round(sqrt(1.5 * PIXELS / len(shots))))
+    shots, problems = _shots(inputs, max_views, panoramas=True)
+    limit = round(sqrt(1.5 * PIXELS / len(shots)))
     films = {path: video.read_exif(path) for path in {shot.path for shot in shots if shot.frame is not None}}
 
     def original(name: str, shot: _Shot) -> Original:
         size = (shot.size[1], shot.size[0])
+        # A view that is cut from a panorama has a third of its width.
+        most = min(longest * (2 if size[1] == 2 * size[0] else 1), limit)
         if shot.frame is not None:
-            return Original(name, None, size, shot.frame, films[shot.path])
-        picture, alpha = images.open_image(shot.path, longest=longest), images.open_alpha(shot.path, longest=longest)
-        return Original(name, shot.path, size, picture, images.read_exif(shot.path), alpha)
+            frame = shot.frame.reduce(max(1, size[1] // most)) if size[1] == 2 * size[0] else shot.frame
+            return Original(name, None, size, frame, films[shot.path], panorama=panorama)
+        picture, alpha = images.open_image(shot.path, longest=most), images.open_alpha(shot.path, longest=most)
+        return Original(name, shot.path, size, picture, images.read_exif(shot.path), alpha, panorama)
 
     return _each(shots, problems, original)
 
@@ -227,6 +232,11 @@ def folders_of_photographs(folder: Path) -> list[Path]:
     return [path for path in inside if path not in copies[1:]]
 
 
+def _named_as_maps(folder: Path) -> list[Path]:
+    """The folders in a folder whose names are those of maps, but may be of photographs: ``normal``, ``conf_room``."""
+    return [path for path in sorted(folder.glob("[!.]*")) if path.is_dir() and OTHER.fullmatch(path.name)]
+
+
 def evenly(items: Sequence[Path], count: int) -> list[Path]:
     """At most ``count`` items, evenly spaced, the first and the last among them."""
     if len(items) <= count:
@@ -268,7 +278,7 @@ def files_of(item: Path) -> list[Path]:
         found = ((reader, reader.find(item)) for reader in readers())
         places = [reader.photographs(path) for reader, path in found if path is not None]
         direct = (image_files(folder) for folder in (*places, item, item / "images") if folder and folder.is_dir())
-        nested = (nested_image_files(folder) for folder in (item / "images", item))
+        nested = (nested_image_files(folder) for folder in (item / "images", item, *_named_as_maps(item)))
         found = next(filter(None, chain(direct, nested)), [])
         thumbnail = len(found) == 1 and any(film.stem == found[0].stem for film in visible(item, video.SUFFIXES))
         return found if found and not thumbnail else _film_of(item)
@@ -313,7 +323,7 @@ class _Shot(NamedTuple):
     frame: Image.Image | None = None
 
 
-def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
+def _shots(inputs: Sequence[Path], max_views: int, *, panoramas: bool = False) -> tuple[list[_Shot], list[str]]:
     """The headers of photographs and the frames of videos, and what is wrong with the others."""
     found = [path for item in inputs for path in files_of(item)]
     paths = evenly(found, max_views)
@@ -333,16 +343,22 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
                 for number, frame in video.read_frames(path, frames_each):
                     shots.append(_Shot(path, f"{text_of(path.stem)}_{number:06d}", frame.size, frame))
             else:
-                shots.append(_Shot(path, text_of(path.stem), images.photograph_size(path)))
+                shots.append(_Shot(path, text_of(path.stem), images.photograph_size(path, panoramas=panoramas)))
         except ValueError as error:
             problems.append(str(error))
-    if shots and all(width == 2 * height for _, _, (width, height), _ in shots):
-        _log.warning("all photographs are twice as wide as high, as 360° cameras take them; cut such into views")
+    if not panoramas and shots and all(width == 2 * height for _, _, (width, height), _ in shots):
+        _log.warning("all photographs are twice as wide as high, as 360° cameras take them; poses=sfm cuts them")
     return shots or _nothing(problems), problems
 
 
 def _tell_folders(item: Path, folders: Sequence[Path]) -> None:
     """Say which folders in a given one are read as photographs, or are not."""
+    stems = {file.stem for folder in folders for file in image_files(folder)}
+    for each in _named_as_maps(item):
+        if each in folders:
+            _log.warning("%s is named as maps of photographs are, and read as photographs: there are no others", each)
+        elif (files := image_files(each)) and stems.isdisjoint(file.stem for file in files):
+            _log.warning("the images in %s are left out, for its name is that of maps of photographs", each)
     if len(folders) > 1:
         _log.warning("the photographs of %s are those in %s", item, listing([each.name for each in folders]))
     for folder in folders if len(folders) == 1 else ():

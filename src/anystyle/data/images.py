@@ -34,18 +34,23 @@ def image_size(source: Picture, name: str = "") -> tuple[int, int]:
         return (height, width) if transposed else (width, height)
 
 
-def photograph_size(path: Path) -> tuple[int, int]:
+def photograph_size(path: Path, *, panoramas: bool = False) -> tuple[int, int]:
     """:func:`image_size` of a photograph; a panorama, which no perspective camera takes, is refused.
 
-    It is one by its tag ``GPano:ProjectionType``, which 360° cameras and phones write.
+    Unless ``panoramas`` all around are wanted: equirectangular ones that are twice as wide as high.
     """
+    kind, (width, height) = panorama_tag(path), image_size(path)
+    if kind and not (panoramas and kind == "equirectangular" and width == 2 * height):
+        told = f"{path} is a panorama ({kind}, {width}x{height}), which no perspective camera takes"
+        raise UserError(f"{told}; equirectangular ones twice as wide as high are cut into views by poses=sfm")
+    return width, height
+
+
+def panorama_tag(path: Path) -> str:
+    """The projection that 360° cameras and phones write, ``equirectangular`` or ``cylindrical``, or nothing."""
     with opened(path) as image:
-        xmp = image.info.get("xmp", b"")
-    found = re.search(rb"GPano:ProjectionType\W{1,4}(equirectangular|cylindrical)", xmp)
-    if found:
-        told = f"{path} is a panorama ({found[1].decode()}), which no perspective camera takes"
-        raise UserError(f"{told}: cut it into views, such as by ns-process-data images --camera-type equirectangular")
-    return image_size(path)
+        found = re.search(rb"GPano:ProjectionType\W{1,4}(equirectangular|cylindrical)", image.info.get("xmp", b""))
+    return found[1].decode() if found else ""
 
 
 def read_exif(path: Path) -> Image.Exif:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from PIL import Image, ImageChops
 from torch import Tensor
 
-from anystyle.data.images import SUFFIXES, open_alpha, open_image, to_tensor
+from anystyle.data.images import SUFFIXES, image_size, open_alpha, open_image, to_tensor
 from anystyle.errors import UserError, listing
 from anystyle.io import video
 from anystyle.types import Original, SourceImage, Views
@@ -69,7 +69,7 @@ def with_masks(originals: Sequence[Original], masks: Mapping[Path, Path]) -> lis
     """Photographs that do not count where their masks are black, besides where they are transparent."""
 
     def masked(original: Original) -> Original:
-        mask = _mask_of(masks, original.path, original.size)
+        mask = _mask_of(masks, original.path)
         if mask is None:
             return original
         mask = mask.resize(original.picture.size)
@@ -90,7 +90,7 @@ def masked_views(
     num_masks = 0
     for view, source in enumerate(sources):
         transparency = None if source.path is None else open_alpha(source.path, longest=2 * max(source.view_size))
-        mask = _mask_of(masks, source.path, source.size)
+        mask = _mask_of(masks, source.path)
         if transparency is not None:
             alpha[view] = _of_view(transparency, source)
         if mask is not None:
@@ -122,18 +122,17 @@ def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:
     return to_tensor(source.of_view(mask.convert("RGB")))[0]
 
 
-def _mask_of(masks: Mapping[Path, Path], path: Path | None, size: tuple[int, int]) -> Image.Image | None:
-    return None if path is None or path not in masks else read_mask(masks[path], path, size)
+def _mask_of(masks: Mapping[Path, Path], path: Path | None) -> Image.Image | None:
+    """The mask of a photograph in black and white; what is transparent is black, and of labels 0 and 1 1 is white.
 
-
-def read_mask(file: Path, photograph: Path, size: tuple[int, int]) -> Image.Image:
-    """A mask in black and white; what is transparent is black, and of labels 0 and 1 1 is white.
-
-    A UserError says that it has not the aspect of the upright photograph, whose ``size`` is height and width in pixels.
+    A UserError says that it has not the aspect of the upright photograph.
     """
+    if path is None or path not in masks:
+        return None
+    file, (width, height) = masks[path], image_size(path)
     mask, alpha = open_image(file).convert("L"), open_alpha(file)
-    if abs(mask.width * size[0] / (mask.height * size[1]) - 1) > MAX_ASPECT_ERROR:
-        sizes = f"has {mask.width}x{mask.height} pixels, and {photograph.name} {size[1]}x{size[0]}, upright"
+    if abs(mask.width * height / (mask.height * width) - 1) > MAX_ASPECT_ERROR:
+        sizes = f"has {mask.width}x{mask.height} pixels, and {path.name} {width}x{height}, upright"
         raise UserError(f"the mask {file} {sizes}; give a mask of the same aspect")
     levels = np.asarray(mask if alpha is None else ImageChops.multiply(mask, alpha))
     return Image.fromarray(np.where(levels > (127 if levels.max() > 1 else 0), 255, 0).astype(np.uint8))

@@ -11,22 +11,26 @@ from anystyle.types import Cameras
 
 KEY_CAMERAS = 6
 """The most cameras that a path goes through: through more of them it follows the shake of a hand."""
+SAME_PLACE = 1e-5
+"""Steps shorter than this fraction of the longest one are rounding."""
 
 
 def smooth_path(cameras: Cameras, frames: int) -> Cameras:
     """A smooth flight through the cameras of one scene, from the first to the last; a single camera sways in a circle.
 
-    Positions are interpolated without overshoot, rotations with a continuous angular velocity.
+    Positions are interpolated without overshoot, rotations with a continuous angular velocity. Of cameras in one place,
+    as the views of a panorama, it goes through the one that turns least.
     """
     if cameras.intrinsics.shape[0] != 1 or frames < 1:
         raise ValueError(f"a path needs one scene and at least 1 frame, not {cameras.intrinsics.shape[0]} and {frames}")
     pose = cameras.world_from_camera[0].detach().double().cpu().numpy()
     intrinsics = cameras.intrinsics[0].detach().double().cpu().numpy()
-    num_cameras = len(pose)
+    stops = _stops(pose)
+    num_cameras = len(stops)
     if num_cameras == 1:
         path, path_intrinsics = _sway(pose[0], frames), np.repeat(intrinsics, frames, axis=0)
     else:
-        keys = np.unique(np.linspace(0, num_cameras - 1, min(num_cameras, KEY_CAMERAS)).round().astype(int))
+        keys = stops[np.unique(np.linspace(0, num_cameras - 1, min(num_cameras, KEY_CAMERAS)).round().astype(int))]
         key_times = np.linspace(0, 1, len(keys))
         # Slow at both ends, as a camera on a dolly.
         times = 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, frames)) if frames > 1 else np.zeros(1)
@@ -36,6 +40,16 @@ def smooth_path(cameras: Cameras, frames: int) -> Cameras:
         path_intrinsics = PchipInterpolator(key_times, intrinsics[keys])(times)
     poses, path_intrinsics = (torch.as_tensor(each)[None].to(cameras.intrinsics) for each in (path, path_intrinsics))
     return Cameras(poses, path_intrinsics, cameras.size)
+
+
+def _stops(pose: np.ndarray) -> np.ndarray:
+    """Indices of cameras, of successive ones in one place only that whose axis is nearest to that of the one before."""
+    steps = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)
+    places = np.split(np.arange(len(pose)), 1 + np.flatnonzero(steps > SAME_PLACE * steps.max(initial=0)))
+    stops = places[0][:1].tolist()
+    for place in places[1:]:
+        stops.append(place[(pose[place, :3, 2] @ pose[stops[-1], :3, 2]).argmax()])
+    return np.array(stops) if len(stops) > 1 else np.arange(len(pose))
 
 
 def look_at(

@@ -65,6 +65,9 @@ class ViewOptions:
         masks: A folder with an image named as each photograph, upright as this, white where it counts.
         masked: What is there where a mask is black. ``ignored``: something that is not part of the scene, such as
             passers-by; other photographs show what is behind. ``empty``: nothing, as where a photograph is transparent.
+        panorama: Into how many views around the horizon, at least 4, photographs twice as wide as high are cut by
+            poses=sfm; a further one looks up. ``None`` is 6 where they have the tag or the look of 360° photographs, 0
+            cuts none.
     """
 
     short_side: Annotated[int, Range(ge=1, le=1 << 16)] | None = None
@@ -74,6 +77,7 @@ class ViewOptions:
     overlap: AtLeastOne | None = None
     masks: str | None = None
     masked: str = "ignored"
+    panorama: Annotated[int, Range(ge=0, le=24)] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "views")

@@ -196,7 +196,9 @@ class Original(NamedTuple):
     """A photograph as it was taken, upright and maybe reduced, under a distinct name.
 
     The size is the source's height and width in pixels; frames of videos have no path, and of EXIF data their lens's.
-    The mask, of the picture's size, is black where it does not count, such as where it is transparent.
+    The mask, of the picture's size, is black where it does not count, such as where it is transparent. ``panorama`` is
+    how many views around the horizon it is cut into: none where it is 0, by its look and the default where it is not
+    given.
     """
 
     name: str
@@ -205,3 +207,4 @@ class Original(NamedTuple):
     picture: Image.Image
     exif: Image.Exif
     mask: Image.Image | None = None
+    panorama: int | None = None

@@ -84,7 +84,7 @@ def _holds(model: Model, images: Sequence[Path]) -> tuple[int, int]:
 
 def _lens(stored: Camera, path: Path) -> Lens:
     if stored.model == "EQUIRECTANGULAR":
-        raise UserError(f"{path} has EQUIRECTANGULAR cameras, whose images are panoramas; cut them into views first")
+        raise UserError(f"{path} has EQUIRECTANGULAR cameras, whose images are panoramas; poses=sfm cuts them")
     (fx, fy, cx, cy), terms = split(stored)
     if stored.model not in _POLYNOMIAL or (stored.model == "FULL_OPENCV" and any(terms[5:])):
         return Lens(stored.size, (fx, fy), (cx, cy), colmap=stored)

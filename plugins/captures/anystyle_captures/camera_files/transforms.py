@@ -64,7 +64,7 @@ class _Frame(msgspec.Struct):
         fy = fx if fy is None else fy
         model = values["camera_model"] or "OPENCV"
         if model == "EQUIRECTANGULAR":
-            raise UserError("the images are panoramas (EQUIRECTANGULAR); cut them into views first")
+            raise UserError("the images are panoramas (EQUIRECTANGULAR); poses=sfm cuts them")
         if model not in _MODELS:
             raise UserError(f"camera_model {model[:40]} is not one of {', '.join(_MODELS)}; undistort the images first")
         k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in ("k1", "k2", "k3", "k4", "p1", "p2"))

@@ -18,6 +18,7 @@ from PIL import Image
 
 from anystyle.errors import MissingExtra
 from anystyle.types import OnProgress, Progress, no_progress
+from anystyle_captures.panorama import Cut
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
     Photograph,
@@ -72,7 +73,8 @@ def search(
         def on_view() -> None:
             on_progress(Progress.count("mapping", next(mapped), count + 1))
 
-        models = [_map_incrementally(folder, options, on_view), _map_globally(folder, options)]
+        known = photographs[0].cut is not None
+        models = [_map_incrementally(folder, options, on_view, known), _map_globally(folder, options, known)]
         on_progress(Progress.count("mapping", count + 1, count + 1))
     found = [[_as_arrays(model, photographs) for model in reconstructions.values()] for reconstructions in models]
     for mapper in found:
@@ -99,55 +101,92 @@ def match(
     load_pycolmap()
     import pycolmap
 
-    sizes = [_search_size(photograph.size, options) for photograph in photographs]
+    sizes = [_search_size(photograph.searched_size, options) for photograph in photographs]
+    cut = photographs[0].cut
+    if cut is not None:  # one lens of one size
+        sizes = [max(sizes)] * len(sizes)
     names = _import_photographs(folder, photographs, sizes)
     previews = _extract_features(folder, names, options, threads, on_progress)
-    _match_pairs(folder, names, pairs_to_match(previews, ordered), options, threads, on_progress)
+    if cut is not None:
+        _apply_rig(folder, cut)
+    pairs = pairs_to_match(previews, ordered, len(names) // len(photographs))
+    _match_pairs(folder, names, pairs, options, threads, on_progress)
 
-    verified = []
+    verified, features = [], [0] * len(photographs)
     with closing(pycolmap.Database.open(folder / "database.db")) as database:
-        ids = _ids(database, names)
-        keypoints = [database.read_keypoints(image) for image in ids]
-        index = {image: view for view, image in enumerate(ids)}
+        keypoints = {image: database.read_keypoints(image) for image in _ids(database, names)}
+        index = {image.image_id: _photograph_of(image.name) for image in database.read_all_images()}
+        for image, found in keypoints.items():
+            features[index[image]] += len(found)
         for pair_id, geometry in zip(*database.read_two_view_geometries(), strict=True):
-            first, second = (index[image] for image in pycolmap.pair_id_to_image_pair(pair_id))
+            first, second = pycolmap.pair_id_to_image_pair(pair_id)
             matches = geometry.inlier_matches
             if len(matches):
                 pixels = [keypoints[first][matches[:, 0], :2], keypoints[second][matches[:, 1], :2]]
-                verified.append(VerifiedPair(first, second, np.stack(pixels).astype(np.float64)))
+                verified.append(VerifiedPair(index[first], index[second], np.stack(pixels).astype(np.float64)))
     verified.sort(key=lambda pair: (pair.first, pair.second))
-    return ViewGraph([one.name for one in photographs], [len(one) for one in keypoints], sizes, verified)
+    return ViewGraph([one.name for one in photographs], features, sizes, verified)
+
+
+def _photograph_of(name: str) -> int:
+    """The index of the photograph that a file is of."""
+    return int(Path(name).stem)
 
 
 def _import_photographs(folder: Path, photographs: Sequence[Photograph], sizes: Sequence[tuple[int, int]]) -> list[str]:
-    """Write gray photographs in these sizes, and masks, and enter them with their lenses; the names of the files."""
+    """Write gray photographs in these sizes, and masks, and enter them with their lenses; the names of the files.
+
+    Of panoramas, of which all are if one is, the views are written.
+    """
     import pycolmap
 
     path = folder / "database.db"
     # COLMAP shares a camera among the images of a folder; images are named by their index.
     lenses = list(dict.fromkeys((photograph.lens, photograph.size) for photograph in photographs))
-    names = [f"{lenses.index((one.lens, one.size))}/{index:06d}.pnm" for index, one in enumerate(photographs)]
-    for name, photograph, (height, width) in zip(names, photographs, sizes, strict=True):
-        (folder / name).parent.mkdir(exist_ok=True)
-        image = Image.fromarray(photograph.pixels).convert("L")
-        resized = image if image.size == (width, height) else image.resize((width, height), Image.Resampling.LANCZOS)
-        resized.save(folder / name)
-        if any(one.mask is not None for one in photographs):  # COLMAP leaves out what has none, where one has
-            mask = np.full(photograph.size, 255, np.uint8) if photograph.mask is None else photograph.mask
-            mask = np.asarray(Image.fromarray(mask).resize((width, height)))
-            file = folder / "masks" / f"{name}.png"
-            file.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(file)
+    focals: dict[str, float | None] = {}
+    masked = any(one.mask is not None for one in photographs)
+    for index, (photograph, (height, width)) in enumerate(zip(photographs, sizes, strict=True)):
+        cut, whole = photograph.cut, Image.fromarray(photograph.pixels)
+        mask = Image.new("L", whole.size, 255) if photograph.mask is None else Image.fromarray(photograph.mask)
+        focal = None if photograph.focal_length is None else photograph.focal_length * width / photograph.size[1]
+        for part in range(1 if cut is None else len(cut.names)):
+            name = f"{lenses.index((photograph.lens, photograph.size)) if cut is None else part}/{index:06d}.pnm"
+            focals[name] = focal if cut is None else cut.focal(width)
+            image = (whole if cut is None else cut.view(part, whole)).convert("L")
+            if image.size != (width, height):
+                image = image.resize((width, height), Image.Resampling.LANCZOS)
+            (folder / name).parent.mkdir(exist_ok=True)
+            image.save(folder / name)
+            if masked:  # COLMAP leaves out what has none, where one has
+                levels = np.asarray(
+                    (mask if cut is None else cut.view(part, mask).convert("L")).resize((width, height))
+                )
+                file = folder / "masks" / f"{name}.png"
+                file.parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(np.where(levels > 127, 255, 0).astype(np.uint8)).save(file)
     pycolmap.Database.open(path).close()
-    pycolmap.import_images(path, folder, pycolmap.CameraMode.PER_FOLDER, names, _reader(folder))
+    pycolmap.import_images(path, folder, pycolmap.CameraMode.PER_FOLDER, list(focals), _reader(folder))
     with closing(pycolmap.Database.open(path)) as database:
-        for image, photograph, (_, width) in zip(_ids(database, names), photographs, sizes, strict=True):
-            if photograph.focal_length is not None:
+        for image, focal in zip(_ids(database, list(focals)), focals.values(), strict=True):
+            if focal is not None:
                 camera = database.read_camera(database.read_image(image).camera_id)
-                camera.focal_length = photograph.focal_length * width / photograph.size[1]
-                camera.has_prior_focal_length = True
+                camera.focal_length, camera.has_prior_focal_length = focal, True
                 database.update_camera(camera)
-    return names
+    return list(focals)
+
+
+def _apply_rig(folder: Path, cut: Cut) -> None:
+    """Tell COLMAP how the views of a panorama lie: the first is the rig, and images of one name are of one panorama."""
+    import pycolmap
+
+    cameras = []
+    for part, rotation in enumerate(cut.panorama_from_view):
+        camera = pycolmap.RigConfigCamera(ref_sensor=part == 0, image_prefix=f"{part}/")
+        if part:
+            camera.cam_from_rig = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation.T), np.zeros(3))
+        cameras.append(camera)
+    with closing(pycolmap.Database.open(folder / "database.db")) as database:
+        pycolmap.apply_rig_config([pycolmap.RigConfig(cameras=cameras)], database)
 
 
 def _reader(folder: Path) -> "pycolmap.ImageReaderOptions":
@@ -212,9 +251,9 @@ def _match_pairs(
 
 
 def _map_incrementally(
-    folder: Path, options: SearchOptions, on_view: Callable[[], None]
+    folder: Path, options: SearchOptions, on_view: Callable[[], None], known: bool
 ) -> dict[int, "pycolmap.Reconstruction"]:
-    """Models that grow by one view after the other."""
+    """Models that grow by one view after the other; ``known`` lenses and rigs stay as they are."""
     import pycolmap
 
     mapping = pycolmap.IncrementalPipelineOptions()
@@ -224,10 +263,12 @@ def _map_incrementally(
     mapping.extract_colors = False
     mapping.mapper.init_min_num_inliers = 50
     mapping.mapper.abs_pose_min_num_inliers = options.min_inliers
+    mapping.ba_refine_focal_length = mapping.ba_refine_extra_params = mapping.ba_refine_sensor_from_rig = not known
+    mapping.mapper.abs_pose_refine_focal_length = mapping.mapper.abs_pose_refine_extra_params = not known
     return pycolmap.incremental_mapping(folder / "database.db", folder, folder, mapping, next_image_callback=on_view)
 
 
-def _map_globally(folder: Path, options: SearchOptions) -> dict[int, "pycolmap.Reconstruction"]:
+def _map_globally(folder: Path, options: SearchOptions, known: bool) -> dict[int, "pycolmap.Reconstruction"]:
     """Models by averaging all rotations and then solving for all positions at once (GLOMAP)."""
     import pycolmap
 
@@ -235,6 +276,10 @@ def _map_globally(folder: Path, options: SearchOptions) -> dict[int, "pycolmap.R
     mapping.num_threads = mapping.mapper.num_threads = MAPPING_THREADS
     mapping.random_seed = mapping.mapper.random_seed = options.seed
     mapping.min_model_size = MIN_VIEWS
+    mapper, adjustment = mapping.mapper, mapping.mapper.bundle_adjustment
+    adjustment.refine_focal_length = adjustment.refine_extra_params = adjustment.refine_sensor_from_rig = not known
+    for solver in (mapper, mapper.rotation_averaging, mapper.global_positioning):
+        solver.refine_sensor_from_rig = not known
     return pycolmap.global_mapping(folder / "database.db", folder, folder, mapping)
 
 
@@ -243,11 +288,13 @@ def _as_arrays(reconstruction: "pycolmap.Reconstruction", photographs: Sequence[
     views: dict[int, int] = {}
     for image in reconstruction.images.values():
         if image.has_pose:
-            view = views[image.image_id] = int(Path(image.name).stem)
+            view = views[image.image_id] = _photograph_of(image.name)
+            if photographs[view].cut is not None and Path(image.name).parent.name != "0":
+                continue
             model.world_from_camera[view] = np.eye(4)
             model.world_from_camera[view, :3] = image.cam_from_world().inverse().matrix()
             camera = reconstruction.cameras[image.camera_id]
-            height, width = photographs[view].size
+            height, width = photographs[view].searched_size
             camera.rescale(width, height)
             model.lenses[view] = camera.params
     points = [point for point in reconstruction.points3D.values() if point.track.length() > 0]

@@ -12,6 +12,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Float64, UInt8
 from PIL import ExifTags, Image
 
+from anystyle_captures.panorama import Cut
+
 Array = np.ndarray
 FULL_FRAME_DIAGONAL = hypot(36, 24)
 """The diagonal of a 35 mm film frame, in millimetres, which equivalent focal lengths refer to."""
@@ -23,7 +25,8 @@ NEGLIGIBLE = 0.1
 class Photograph:
     """An upright sRGB picture, with the lens and the focal length in pixels where they are known.
 
-    Photographs of the same lens and size share their intrinsics. No feature is taken where the mask is black.
+    Photographs of the same lens and size share their intrinsics. No feature is taken where the mask is black. A
+    panorama says how it is cut; its camera is that of its first view.
     """
 
     name: str
@@ -31,6 +34,15 @@ class Photograph:
     focal_length: float | None = None
     lens: str = ""
     mask: UInt8[Array, "H W"] | None = None
+    cut: Cut | None = None
+
+    @property
+    def searched_size(self) -> tuple[int, int]:
+        """Height and width of what features are searched in: of a panorama those of its views."""
+        if self.cut is None:
+            return self.size
+        side = self.cut.side(self.size[1])
+        return side, side
 
     @property
     def size(self) -> tuple[int, int]:
@@ -223,22 +235,22 @@ def largest_features(keypoints: Float[Array, "N 6"], descriptors: Array) -> Floa
     return largest / np.linalg.norm(largest, axis=1, keepdims=True).clip(1e-6)
 
 
-def pairs_to_match(previews: Sequence[Float[Array, "_ 128"]], ordered: bool) -> list[tuple[int, int]]:
-    """Pairs (first, second) with first < second to match in full.
+def pairs_to_match(previews: Sequence[Float[Array, "_ 128"]], ordered: bool, views: int = 1) -> list[tuple[int, int]]:
+    """Pairs (first, second) with first < second to match in full, not of the same of photographs of so many views.
 
     All pairs if there are few photographs; otherwise those that share most of their largest features (preemptive
     matching, Wu, *Towards Linear-time Incremental Structure from Motion*, 3DV 2013), and in a video neighbours in time.
     """
     count = len(previews)
-    pairs = list(combinations(range(count), 2))
+    pairs = [(first, second) for first, second in combinations(range(count), 2) if first // views != second // views]
     if len(pairs) <= EXHAUSTIVE and not ordered:
         return pairs
     chosen: set[tuple[int, int]] = set()
     if ordered:
         steps = list(range(1, NEIGHBORS + 1))
-        while 2 * steps[-1] < count:
+        while 2 * steps[-1] * views < count:
             steps.append(2 * steps[-1])
-        chosen = {(first, first + step) for step in steps for first in range(count - step)}
+        chosen = {(first, first + step * views) for step in steps for first in range(count - step * views)}
     if len(pairs) > EXHAUSTIVE:
         scores = np.zeros((count, count), dtype=np.int64)
         for first, second in pairs:

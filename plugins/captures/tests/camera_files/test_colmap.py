@@ -66,7 +66,7 @@ def test_damaged_files_are_refused(tmp_path):
 def test_panoramas_and_unknown_models_are_refused_by_name(tmp_path, binary):
     lens = colmap.Camera("EQUIRECTANGULAR", (32, 64), (64.0, 32.0))
     colmap.write(colmap.Model({1: lens}, model().photographs), tmp_path / "sparse", binary=binary)
-    with pytest.raises(ValueError, match="EQUIRECTANGULAR cameras, whose images are panoramas; cut them into views"):
+    with pytest.raises(ValueError, match="EQUIRECTANGULAR cameras, whose images are panoramas; poses=sfm cuts them"):
         read_poses(tmp_path, [tmp_path / "a.png"])
     file = tmp_path / "sparse" / ("cameras.bin" if binary else "cameras.txt")
     old, new = (struct.pack("<ii", 1, 17), struct.pack("<ii", 1, 18)) if binary else (b"EQUIRECTANGULAR", b"NEWEST")

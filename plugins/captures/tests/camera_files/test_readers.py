@@ -190,7 +190,7 @@ DAMAGE = {
         ("</document>", "", "is not a file of Metashape cameras"),
     ],
     "transforms": [
-        ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* cut them into views"),
+        ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* poses=sfm cuts them"),
         ('"OPENCV"', '"FOV"', "camera_model FOV is not one of"),
         ("[[0.9999999999999999,", "[[-0.9999999999999999,", "a pose mirrors: its axes are left-handed"),
     ],
