@@ -161,9 +161,7 @@ class Captures(Protocol):
                 "lpips_network": self.lpips.source.stand_in or self.lpips.source.network,
                 "costs": {name: record["costs"] for name, record in records.items()},
                 "cameras": {name: record["cameras"] for name, record in records.items()},
-                "warnings": [
-                    f"{name}: {text}" for name, record in records.items() for text in record.get("warnings", [])
-                ],
+                "warnings": [text for record in records.values() for text in record.get("warnings", [])],
             },
         )
 
@@ -203,8 +201,7 @@ class Captures(Protocol):
                 to_pil(render).save(folder / f"{kind}_{index}.png")
         for index, photograph in enumerate(photographs):
             to_pil(photograph).save(folder / f"photograph_{index}.png")
-        cameras["twins"] = count - len(different)
-        counts = {"views": count, "heldout": len(chosen)}
+        cameras["twins"], counts = count - len(different), {"views": count, "heldout": len(chosen)}
         return {"scores": scores, "costs": costs, "cameras": cameras, "warnings": warned, **counts}
 
     def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
@@ -289,34 +286,26 @@ class Captures(Protocol):
             image = None if style.image is None else style.image.to(device)
             embedding = stylizer.embed(text=style.text if image is None else None, image=image)
             gaussians = self.method(stylizer, scene, style.to(device), embedding)
-            with torch.no_grad():
-                painted.append(stylizer.render(gaussians, cameras).color)
+            painted.append(stylizer.render(gaussians, cameras).color.detach())
         to_pil(painted[0][0, 0]).save(folder / "stylized_0.png")
-        with torch.no_grad():
-            plain = stylizer.render(stylizer.unstyled(scene), cameras)
+        plain = stylizer.render(stylizer.unstyled(scene), cameras).color.detach()
         ratio = max(1.0, min(views.size) / STEREO_SIDE)
         size = (round(views.size[0] / ratio), round(views.size[1] / ratio))
         small = interpolate(views.images[0].cpu(), size=size, mode="area")
         stereo = plane_sweep(small, cameras.to("cpu").resized(size), points=points)
         depth = interpolate(torch.where(stereo.support > 0, stereo.depth, 0)[None], views.size, mode="nearest-exact")
-        photographs, scores, warned = views.images.to(device), dict[str, Mapping[str, float]](), dict[str, None]()
-        same = {"photographs": [photographs] * len(styles), "unstyled": [plain.color] * len(styles)}
+        photographs = views.images.to(device)
+        base = Comparison(photographs, photographs, None, cameras, depth.to(device), (name,))
+        same = {"photographs": [photographs] * len(styles), "unstyled": [plain] * len(styles)}
+        scores, warned = dict[str, Mapping[str, float]](), dict[str, None]()
         for kind, of_styles in (same | {"stylized": painted}).items():
+            pairs = zip(of_styles, styles, strict=True)
             rows = [
-                Comparison(
-                    photographs,
-                    images,
-                    style.to(device),
-                    cameras,
-                    depth.to(device),
-                    (name,),
-                    style.names or (str(place),),
-                )
-                for place, (images, style) in enumerate(zip(of_styles, styles, strict=True))
+                replace(base, stylized=images, style=style.to(device), styles=style.names) for images, style in pairs
             ]
             found = judge_scene(self.metrics, rows).values()
             scores[kind] = {score: value for one in found for score, value in one.scores.items()}
-            warned |= dict.fromkeys(text for one in found for text in one.warned)
+            warned |= dict.fromkeys(f"{name}: {text}" for one in found for text in one.warned)
         return scores, list(warned)
 
     @torch.no_grad()
