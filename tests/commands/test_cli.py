@@ -103,7 +103,6 @@ def test_listing_imports_neither_torch_nor_a_plugin(words):
 MISTYPED = {
     "training.lrr=1": "'training.lrr': Key 'lrr' is no option of training. There are: ",
     "trainer.max_stepss=3": "'trainer.max_stepss': Key 'max_stepss' is no option of trainer. Did you mean 'max_steps'?",
-    "scenes=folder scenes.rooot=x": "'scenes.rooot': Key 'rooot' is no option of scenes. Did you mean 'root'?",
     "loss.style.weigt=1": "'loss.style.weigt': Key 'weigt' is no option of loss. Did you mean 'weight'?",
     "vews.take=3": "'vews.take': Key 'vews' is unknown. Did you mean 'views'?",
     "-cd own styles=foldr": "'styles/foldr'. Did you mean 'folder'?",
@@ -116,10 +115,8 @@ def test_mistyped_keys_are_answered_before_torch_is_imported(tmp_path):
     (tmp_path / "own" / "styles" / "mine.yaml").write_text("defaults: [folder]\n")
     code = (
         "import sys; from anystyle.cli.launch import main\nfrom anystyle.errors import UserError\n"
-        f"for words in {[*MISTYPED]!r}:\n"
-        "    sys.argv = ['anystyle', 'experiment=tiny_style', *words.split()]\n"
-        "    try: main('train', print)\n"
-        "    except SystemExit: pass\n"
+        f"for words in {[*MISTYPED]!r}:\n    sys.argv = ['', 'experiment=tiny_style', *words.split()]\n"
+        "    try: main('train', print)\n    except SystemExit: pass\n"
         "print('torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
@@ -294,13 +291,11 @@ def test_a_folder_of_configurations_is_read(command, tmp_path):
     assert status == 2 and err.startswith("anystyle: error: ") and "absent" in err and err.count("\n") == 1
 
 
-@pytest.mark.parametrize("words", [(), ("-m", "seed=1,2")])
-def test_a_file_that_changes_the_folder_is_refused(command, tmp_path, words):
+def test_a_file_that_changes_the_folder_is_refused(command, tmp_path):
     (tmp_path / "more" / "extra").mkdir(parents=True)
     (tmp_path / "more" / "extra" / "here.yaml").write_text("# @package _global_\nhydra: {job: {chdir: true}}\n")
-    status, out, err = command("-cd", "more", "+extra=here", *words)
-    assert (status, out) == (2, "")
-    assert err.endswith("results are in a folder of the job's all the same\n") and "hydra.job.chdir: true" in err
+    status, out, err = command("-cd", "more", "+extra=here", "-m", "seed=1,2")
+    assert (status, out) == (2, "") and "hydra.job.chdir: true: relative paths" in err
 
 
 def test_a_callback_in_a_folder_of_configurations_does_not_run(command, tmp_path):

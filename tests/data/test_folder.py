@@ -1,4 +1,5 @@
 import logging
+import shutil
 
 import av
 import numpy as np
@@ -283,15 +284,14 @@ def test_maps_of_photographs_are_no_photographs(tmp_path, caplog, photographs, o
 def test_copies_of_photographs_count_once(tmp_path, caplog):
     for name in ("IMG_1.jpg", "IMG_2.jpg", "IMG_2 (1).jpg", "10.jpg"):
         save(tmp_path / name, shade=len(name) * 15)  # IMG_2 (1) is another photograph
-    (tmp_path / "1.jpg").write_bytes((tmp_path / "10.jpg").read_bytes())  # named as no copy
     copies = ["IMG_1 (1)", "IMG_1(2)", "IMG_1 - Copy", "IMG_1 - Copy (2)", "IMG_1 copy", "IMG_1 copy 2", "IMG_1_copy"]
     copies += ["IMG_1 (another copy)", "Copy of IMG_1", "IMG_1 2", "IMG_1~3", "IMG_1 - Kopie", "IMG_1 - 副本"]
     for name in copies:
         (tmp_path / f"{name}.jpg").write_bytes((tmp_path / "IMG_1.jpg").read_bytes())
     Image.open(tmp_path / "IMG_1.jpg").save(tmp_path / "IMG_1 (3).png")  # the same pixels in other bytes
-    assert read(tmp_path, max_views=32)[0].names == ("IMG_1", "IMG_2 (1)", "IMG_2", "1", "10")
+    assert read(tmp_path, max_views=32)[0].names == ("IMG_1", "IMG_2 (1)", "IMG_2", "10")
     assert (
-        "14 of 19 images in" in caplog.text and "copies of others, and are left out: Copy of IMG_1.jpg" in caplog.text
+        "14 of 18 images in" in caplog.text and "copies of others, and are left out: Copy of IMG_1.jpg" in caplog.text
     )
 
 
@@ -302,6 +302,18 @@ def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
     (tmp_path / "photos" / "._a.png").write_bytes(b"resource fork")
     views, _ = read(tmp_path, max_views=2)
     assert views.images.shape[1] == 2 and caplog.text == ""
+
+
+def test_a_folder_that_is_named_as_maps_may_hold_the_only_photographs(tmp_path, caplog):
+    for name in ("normal/IMG_1.png", "normal/IMG_2.png", "photos/a.png", "depth/a.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        save(tmp_path / name)
+    assert read(tmp_path)[0].names == ("a",)  # depth has its names, and is silent
+    assert len(caplog.messages) == 1 and "normal are left out, for its name is that of maps" in caplog.text
+    shutil.rmtree(tmp_path / "photos")
+    shutil.rmtree(tmp_path / "depth")
+    assert read(tmp_path)[0].names == ("IMG_1", "IMG_2")
+    assert "normal is named as maps of photographs are, and read as photographs" in caplog.text
 
 
 def test_a_folder_of_one_film_is_that_film(tmp_path):

@@ -223,3 +223,6 @@ def test_the_command_writes_a_folder_or_the_file_that_it_is_told(tmp_path, capsy
         told = capsys.readouterr()
         assert told.out.strip().endswith(film) and told.err == "film of 2 frames of 64 x 48, 24 a second …\n"
         assert len(frames_of(tmp_path / film)) == 2
+    empty = f"splat.folder={tmp_path / 'made'}"  # of cameras, which are chosen then, as they are for styles
+    command.main([str(tmp_path / "scene.ply"), "--out", str(tmp_path / "b.mp4"), "video.frames=2", empty])
+    assert len(frames_of(tmp_path / "b.mp4")) == 2

@@ -280,3 +280,16 @@ def test_cameras_that_are_chosen_are_told_with_what_is_taken_for_up(tmp_path, ca
         saved.cameras_of(path, scene, ViewOptions(), SplatOptions(cameras=2, up=up), RENDERER, 14, 56, own)
         assert "no cameras are in scene.ply or beside it: 2 are chosen around the scene" in caplog.text
         assert expected in caplog.text and ("splat.up" in caplog.text) == bool(expected)
+
+
+@pytest.mark.parametrize(("axis", "sign", "up"), [(2, 1, "z"), (1, 1, "y"), (1, -1, None), (2, -1, None)])
+def test_a_floor_with_a_scene_above_it_says_which_axis_is_up(tmp_path, caplog, axis, sign, up):
+    """Chosen cameras stand upright on it; -y is OpenCV's, and across z with all on one side before it may be a wall."""
+    ground, heights = floor(axis), sign * torch.linspace(0.1, 2.0, 300)[None, :, None]
+    means = (ground.means * 0.3).index_copy(2, torch.tensor([axis]), heights)
+    scene = Gaussians.cat([ground, replace(ground, means=means, scales=torch.full((1, 300, 3), 0.03))], dim=1)
+    options = (ViewOptions(), SplatOptions(cameras=3), RENDERER, 14, 56)
+    cameras = saved.cameras_of(tmp_path / "scene.ply", alone(scene), *options)[0]
+    upward = -cameras.world_from_camera[0, :, axis, 1]  # of the images, along the axis
+    assert bool((upward > 0.5).all()) == (up is not None)
+    assert (f"; {up} is taken to be up, for a floor lies across it" in caplog.text) == (up is not None)

@@ -4,6 +4,7 @@ import torch
 
 from anystyle.geometry.cameras import look_at
 from anystyle.types import Cameras, Gaussians
+from anystyle_captures.stereo import StereoDepth
 from anystyle_cpu_renderer.renderer import CpuRenderer
 
 SIZE = (40, 48)
@@ -38,3 +39,9 @@ def photographed_wall(num_views=7):
     with torch.no_grad():
         renders = CpuRenderer(background=(0.0, 0.0, 0.0))(wall(), cameras)
     return renders.color[0], cameras, renders.depth[0] / renders.alpha[0]
+
+
+def stereo_of(depth, support=None):
+    """Depths as stereo finds them, supported by one view where nothing else is said."""
+    ones = torch.ones_like(depth)
+    return StereoDepth(depth, ones, ones.int() if support is None else support, 0 * ones)

@@ -9,11 +9,14 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d
 
 from anystyle.types import Cameras, Value
+from anystyle_captures.initial import farthest
 from anystyle_captures.pixels import pixels_of
 from anystyle_captures.stereo import StereoDepth
 
 NEARER = 0.85
 """A point nearer than this fraction of a surface lies before it, and on it as far to both sides."""
+BEFORE_SKY = 0.5
+"""The space before the sky reaches up to this fraction of the backdrop's depth."""
 AROUND = 5
 """Side in pixels of the window whose nearest surface counts."""
 MIN_VIEWS, MIN_SHARE = 2, 1 / 3
@@ -36,6 +39,8 @@ class FreeSpace(Value):
     def of(cls, stereo: StereoDepth, cameras: Cameras) -> "FreeSpace":
         """What the depths by stereo say."""
         known = torch.where(stereo.support >= 1, stereo.depth, inf)
+        if bool(stereo.depth.isposinf().any()):
+            known[stereo.depth.isposinf()] = BEFORE_SKY * farthest(stereo)
         # The nearest around a pixel: beside an outline, cameras that are not exact see past what is there.
         nearest = -max_pool2d(-known, AROUND, 1, AROUND // 2)
         return cls(torch.where(known.isfinite(), nearest, nan), cameras)

@@ -42,8 +42,9 @@ def from_stereo(
     unsupported: float,
     generator: torch.Generator,
 ) -> InitialGaussians:
-    """Lift pixels of all views, evenly over the images, those first whose depth another view supports."""
-    lifted = (stereo.support >= 1) | (torch.rand(stereo.support.shape, generator=generator) < unsupported)
+    """Lift pixels of all views, evenly over the images: those of supported depth, and a fraction of the others."""
+    chosen = torch.rand(stereo.support.shape, generator=generator) < unsupported
+    lifted = (stereo.support >= 1) | ((stereo.support == 0) & chosen)
     lifted &= stereo.depth.isfinite()
     fraction = float(lifted.double().mean())
     if not bool((stereo.support >= 1).any()):
@@ -58,8 +59,8 @@ def from_stereo(
         y, x = (grid.flatten() for grid in torch.meshgrid(rows, columns, indexing="ij"))
         keep = lifted[view, y, x]
         pixels.append(torch.stack([torch.full_like(y, view), y, x], dim=1)[keep])
-    chosen = torch.cat(pixels)
-    return lift(images, cameras, stereo.depth[chosen.unbind(1)], chosen)
+    drawn = torch.cat(pixels)
+    return lift(images, cameras, stereo.depth[drawn.unbind(1)], drawn)
 
 
 def backdrop(
@@ -74,16 +75,21 @@ def backdrop(
 
     As many lie around the photographs, in the colours of their borders; there are none at or beside masked pixels.
     """
-    supported, valid = stereo.support >= 1, stereo.depth.isfinite()
+    supported, valid = stereo.support >= 1, ~stereo.depth.isnan()
     bottom, right = (round(SURROUND * side) for side in images.shape[-2:])
     sides = (right, right, bottom, bottom)
     around = pad(torch.zeros_like(supported), sides, value=True)
     around &= pad(valid[None].float(), sides, mode="replicate")[0] > 0
     inside = _drawn(~supported & valid, num_gaussians, generator)
     pixels = torch.cat([inside, _drawn(around, num_gaussians, generator) - torch.tensor([0, bottom, right])])
-    known = stereo.depth[supported]
-    far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)
-    return lift(images, cameras, far.expand(len(pixels)), pixels, largest=float("inf"), fraction=OVERLAP)
+    far = torch.full((len(pixels),), farthest(stereo))
+    return lift(images, cameras, far, pixels, largest=float("inf"), fraction=OVERLAP)
+
+
+def farthest(stereo: StereoDepth) -> float:
+    """The depth of the backdrop."""
+    known = stereo.depth[stereo.support >= 1]
+    return BACKDROP * float(known[:: max(1, len(known) // 1_000_000)].quantile(0.98))
 
 
 def _drawn(mask: Bool[Tensor, "V H W"], count: int, generator: torch.Generator) -> Int[Tensor, "N 3"]:

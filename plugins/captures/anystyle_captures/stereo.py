@@ -45,11 +45,19 @@ MIN_POINTS = 32
 
 @dataclass(frozen=True)
 class StereoDepth(Value):
-    """The depth of every pixel; not a number where a photograph is masked."""
+    """The depth of every pixel: not a number where a photograph is masked, infinite in the sky.
+
+    Args:
+        depth: Along the axis of the camera.
+        confidence: Correlation of the windows at this depth.
+        support: The number of other views that have a surface there; negative where that could only be chance.
+        at_infinity: Correlation of the windows at infinity.
+    """
 
     depth: Float[Tensor, "V H W"]
     confidence: Float[Tensor, "V H W"]
     support: Int[Tensor, "V H W"]
+    at_infinity: Float[Tensor, "V H W"]
 
 
 def plane_sweep(
@@ -194,15 +202,20 @@ def _sweep(
     valid: Bool[Tensor, "V H W"],
 ) -> StereoDepth:
     pixels = gray.float().contiguous().numpy()
-    depth, confidence = np.empty_like(pixels), np.empty_like(pixels)
+    depth, confidence, infinite = (np.empty_like(pixels) for _ in range(3))
     steps = torch.linspace(0, 1, num_planes, dtype=torch.float64)
 
     def estimate(view: int) -> None:
         near, far = ranges[view]
         inverse = 1 / far + (1 / near - 1 / far) * steps
-        costs = np.empty((*pixels.shape[1:], num_planes), np.float32)
-        homographies = torch.stack([_homographies(rig, view, other, inverse) for other in neighbors[view]]).numpy()
+        costs, last = (np.empty((*pixels.shape[1:], planes), np.float32) for planes in (num_planes, 1))
+        homographies, beyond = (
+            torch.stack([_homographies(rig, view, other, planes) for other in neighbors[view]]).numpy()
+            for planes in (inverse, torch.zeros_like(inverse[:1]))
+        )
         sweep(pixels[view], pixels[neighbors[view]], homographies, RADIUS, costs)
+        sweep(pixels[view], pixels[neighbors[view]], beyond, RADIUS, last)
+        infinite[view] = 1 - last[..., 0]
         sums = np.empty_like(costs)
         aggregate(costs, pixels[view], SMALL_PENALTY, LARGE_PENALTY, sums)
         best_planes(costs, sums, depth[view], confidence[view])
@@ -222,7 +235,7 @@ def _sweep(
         list(pool.map(estimate, range(len(gray))))
         depths[~valid] = nan  # agrees with nothing
         list(pool.map(check, range(len(gray))))
-    return StereoDepth(depths, torch.from_numpy(confidence), support)
+    return StereoDepth(depths, torch.from_numpy(confidence), support, torch.from_numpy(infinite))
 
 
 def _homographies(rig: _Rig, view: int, other: int, inverse: Float[Tensor, " D"]) -> Float[Tensor, "D 3 3"]:

@@ -10,9 +10,8 @@ from anystyle.geometry.transforms import matrix_from_vector
 from anystyle_captures import fit_loop
 from anystyle_captures.fit_loop import Exposures, FitLoop, FitOptions, InitialScene
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo, lift
-from anystyle_captures.stereo import StereoDepth
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.known_scene import photographed_wall, rig
+from tests.support.known_scene import photographed_wall, rig, stereo_of
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 
@@ -25,7 +24,7 @@ def photographs():
 def initial(photographs, views=(0, 1, 2, 4, 5, 6), num_gaussians=900):
     images, cameras, depth = photographs
     index = list(views)
-    stereo = StereoDepth(depth[index], torch.ones_like(depth[index]), torch.ones(depth[index].shape, dtype=torch.int32))
+    stereo = stereo_of(depth[index])
     generator = torch.Generator().manual_seed(0)
     return from_stereo(
         images[index], cameras.select(index), stereo, num_gaussians=num_gaussians, unsupported=0.0, generator=generator
@@ -54,7 +53,7 @@ def test_only_supported_pixels_are_lifted(photographs):
     images, cameras, depth = photographs
     support = torch.zeros(depth.shape, dtype=torch.int32)
     support[:, :20] = 2
-    stereo = StereoDepth(depth, torch.ones_like(depth), support)
+    stereo = stereo_of(depth, support)
     generator = torch.Generator().manual_seed(0)
     lifted = from_stereo(images, cameras, stereo, num_gaussians=2000, unsupported=0.0, generator=generator)
     assert lifted.pixels[:, 1].max() < 20
@@ -138,7 +137,7 @@ def test_what_shows_nothing_is_removed(photographs, monkeypatch):
 def test_a_view_that_looks_past_the_photographs_sees_no_hole(photographs):
     """Beside what they show, the backdrop goes on in the colours of their borders."""
     images, cameras, depth = photographs
-    stereo = StereoDepth(depth, torch.ones_like(depth), torch.ones(depth.shape, dtype=torch.int32))
+    stereo = stereo_of(depth)
     behind = backdrop(images, cameras, stereo, num_gaussians=400, generator=torch.Generator().manual_seed(0))
     views, rows, columns = behind.pixels.unbind(1)
     assert torch.equal(behind.colors, images[views, :, rows, columns])

@@ -8,9 +8,8 @@ from anystyle_captures import fit_loop
 from anystyle_captures.fit_loop import FitLoop, FitOptions, InitialScene
 from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import lift
-from anystyle_captures.stereo import StereoDepth
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.known_scene import photographed_wall
+from tests.support.known_scene import photographed_wall, stereo_of
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +21,7 @@ def free_space(cameras: Cameras, depth: torch.Tensor, views: range) -> FreeSpace
     """As stereo finds it where the depths of some views are supported."""
     support = torch.zeros(depth.shape, dtype=torch.int32)
     support[list(views)] = 1
-    return FreeSpace.of(StereoDepth(depth, torch.ones_like(depth), support), cameras)
+    return FreeSpace.of(stereo_of(depth, support), cameras)
 
 
 def points_at(cameras: Cameras, depth: torch.Tensor, view: int, fraction: float) -> torch.Tensor:

@@ -19,8 +19,9 @@ from anystyle.pipeline.beside import saved_cameras, with_stored_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.film import Film
 from anystyle.pipeline.load import default_device
+from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.request import file_of
-from anystyle.pipeline.saved import made_at, read_unturned
+from anystyle.pipeline.saved import PAINTED, cameras_of, made_at, read_unturned
 from anystyle.registry.build import build
 from anystyle.registry.compose import options
 from anystyle.types import Cameras, SourceImage
@@ -56,7 +57,12 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     path = file_of(arguments.scene)
     given = read_unturned(path, splat)
     saved = with_stored_cameras(in_axes("opencv", given), path, splat.folder, given.up)
-    if (size := made_at(path)) is not None:  # photographs may be larger than the views that the scene was made of
+    size = made_at(path)
+    if not saved.names:
+        side = min(size) if size else PAINTED
+        cameras, sources, _ = cameras_of(path, saved, ViewOptions(), splat, render, 2, side, given.up)
+        saved = replace(saved, cameras=cameras, names=tuple(each.name for each in sources), photographed=False)
+    elif size is not None:  # photographs may be larger than the views that the scene was made of
         views = [
             view_camera(camera, SourceImage.covering(name, camera.size, size))
             for name, camera in saved_cameras(saved).items()

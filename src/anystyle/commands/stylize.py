@@ -58,8 +58,8 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     page = next((path for path in pages if path.is_file()), target / "sheet.png")
     own = "".join(f"; each style has a {path.name} in its folder" for path in pages if not path.is_file())
     took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
-    held_out = results.run.encoded.reconstruction.get("heldout_psnr")
-    quality = "" if held_out is None else f"; photographs held out of the fit are shown at {held_out:.1f} dB"
+    psnr, matched = (results.run.encoded.reconstruction.get(f"heldout_{name}") for name in ("psnr", "matched_psnr"))
+    quality = f"; photographs held out are shown at {psnr:.1f} dB ({matched:.1f} in their colours)" if psnr else ""
     print(f"{scenes} in {target} in {took}{quality}; look at {page}{own}")
     if arguments.open:
         show(page.resolve().as_uri())

@@ -232,6 +232,11 @@ def folders_of_photographs(folder: Path) -> list[Path]:
     return [path for path in inside if path not in copies[1:]]
 
 
+def _named_as_maps(folder: Path) -> list[Path]:
+    """The folders in a folder whose names are those of maps, but may be of photographs: ``normal``, ``conf_room``."""
+    return [path for path in sorted(folder.glob("[!.]*")) if path.is_dir() and OTHER.fullmatch(path.name)]
+
+
 def evenly(items: Sequence[Path], count: int) -> list[Path]:
     """At most ``count`` items, evenly spaced, the first and the last among them."""
     if len(items) <= count:
@@ -273,7 +278,7 @@ def files_of(item: Path) -> list[Path]:
         found = ((reader, reader.find(item)) for reader in readers())
         places = [reader.photographs(path) for reader, path in found if path is not None]
         direct = (image_files(folder) for folder in (*places, item, item / "images") if folder and folder.is_dir())
-        nested = (nested_image_files(folder) for folder in (item / "images", item))
+        nested = (nested_image_files(folder) for folder in (item / "images", item, *_named_as_maps(item)))
         found = next(filter(None, chain(direct, nested)), [])
         thumbnail = len(found) == 1 and any(film.stem == found[0].stem for film in visible(item, video.SUFFIXES))
         return found if found and not thumbnail else _film_of(item)
@@ -348,6 +353,12 @@ def _shots(inputs: Sequence[Path], max_views: int, *, panoramas: bool = False) -
 
 def _tell_folders(item: Path, folders: Sequence[Path]) -> None:
     """Say which folders in a given one are read as photographs, or are not."""
+    stems = {file.stem for folder in folders for file in image_files(folder)}
+    for each in _named_as_maps(item):
+        if each in folders:
+            _log.warning("%s is named as maps of photographs are, and read as photographs: there are no others", each)
+        elif (files := image_files(each)) and stems.isdisjoint(file.stem for file in files):
+            _log.warning("the images in %s are left out, for its name is that of maps of photographs", each)
     if len(folders) > 1:
         _log.warning("the photographs of %s are those in %s", item, listing([each.name for each in folders]))
     for folder in folders if len(folders) == 1 else ():

@@ -82,8 +82,8 @@ def from_files(
             raise UserError(told)
         searched = f"in {folder}" if folder is not None else "beside the photographs"
         expected = ", ".join(reader.expects for reader in readers())
-        remedy = "or use poses=sfm or poses=predicted"
-        raise UserError(f"no cameras are stored {searched}; expected one of: {expected}; {remedy}")
+        known = f"expected one of: {expected}; or use poses=sfm or poses=predicted"
+        raise UserError(f"no cameras are stored {searched}; {known}")
     images, undistorted, matched = views.images.clone(), list(sources), {}
     for index, source in enumerate(sources):
         if source.path is None or (camera := stored.get(source.path)) is None:

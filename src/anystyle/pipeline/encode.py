@@ -290,12 +290,8 @@ def require_encoding(backbone: Backbone, num_views: int, size: tuple[int, int], 
     constant, per_view = estimate
     fits = int((limits.USABLE * free - constant) / per_view) if per_view else 0
     advice = f"{fits} fit: set views.max_views={fits}" if fits >= 2 else "not even two fit: set a smaller size"
-    limits.require(
-        constant + per_view * num_views,
-        f"{num_views} views of {size[1]}x{size[0]}",
-        f"{advice} (groups that overlap), views.short_side or views.take",
-        free,
-    )
+    advice += " (groups that overlap), views.short_side or views.take"
+    limits.require(constant + per_view * num_views, f"{num_views} views of {size[1]}x{size[0]}", advice, free)
 
 
 def _fitted(given: ReadViews, stylizer: Stylizer, stages: Stages) -> tuple[tuple[Group, ...], Mapping[str, float]]:

@@ -65,14 +65,10 @@ def read_photographs(
     if given is None:
         chosen = reconstruction or Feedforward()
         short_side, enlarge = _view_size(backbone, options, chosen)
+        sizes = {"short_side": short_side if options.resize else None, "enlarge": enlarge}
         with stages("read", "the views"):
-            views, sources = read_views(
-                paths,
-                short_side=short_side if options.resize else None,
-                enlarge=enlarge,
-                multiple=backbone.patch_size,
-                max_views=_max_views(paths, options, chosen),
-            )
+            most = _max_views(paths, options, chosen)
+            views, sources = read_views(paths, **sizes, multiple=backbone.patch_size, max_views=most)
         given = with_stored(ReadViews(views, tuple(sources), chosen, report=report), poses, stored)
     given = replace(given, made_of=_made_of(paths, given.sources))
     return _masked(given, masks, options, stages)
@@ -91,12 +87,9 @@ def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> dict[Path, Stor
             _log.warning("%s", told)
         return {}
     used = len(found) >= max(2, len(files) / 2)
-    _log.warning(
-        "cameras of %d of %d photographs are stored beside them, and are %s",
-        len(found),
-        len(files),
-        "used; poses=sfm finds them anew" if used else "not used, for they are too few; poses=known uses them",
-    )
+    told = "used; poses=sfm finds them anew" if used else "not used, for they are too few; poses=known uses them"
+    line = "cameras of %d of %d photographs are stored beside them, and are %s"
+    _log.warning(line, len(found), len(files), told)
     return found if used else {}
 
 

@@ -26,7 +26,7 @@ from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render, pixels_shown
 from anystyle.paths import short_names
 from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
-from anystyle.pipeline.export import in_axes
+from anystyle.pipeline.export import in_axes, turn
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
 from anystyle.pipeline.request import OWN, PICTURE, file_of, scene_format
@@ -58,6 +58,8 @@ COUNTED = 100_000
 FLAT, LEVEL = 0.5, 1.5
 """A Gaussian is flat whose thinnest side is less than this share of the next; a floor has so many times as much of
 what is flat across the axis that is up as there is across another."""
+ABOVE, BELOW = 0.3, 0.03
+"""Shares of a scene over and under its floor, by 0.2 standard deviations of heights, from which it counts as one."""
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 _AS_IT_SAYS = SplatOptions()
@@ -235,17 +237,17 @@ def cameras_of(
     stored = {} if options.folder else saved_cameras(saved)
     stored = stored or cameras_beside(path, options.folder, saved.offset, own_up)
     if not stored:
-        gaussians = unstyled_of(saved)
-        cameras = facing(gaussians, options.cameras, side, renderer)
+        gaussians, told, up = unstyled_of(saved), "", "opencv"
+        if options.up is None and own_up == "opencv":
+            up, told = _found_up(gaussians)
+        upright = turn(up, "opencv", gaussians.means)
+        cameras = facing(upright.gaussians(gaussians), options.cameras, side, renderer)
+        cameras = replace(cameras, world_from_camera=upright.inverse().poses(cameras.world_from_camera))
         names = [f"view_{index:02d}" for index in range(cameras.intrinsics.shape[1])]
         sources = tuple(SourceImage.covering(name, (side, side), (side, side)) for name in names)
-        _log.warning(
-            "no cameras are in %s or beside it: %d are chosen around the scene, where most of it is seen; "
-            "splat.folder=FOLDER reads those of the photographs%s",
-            path.name,
-            len(names),
-            _doubt_of_up(gaussians) if options.up is None and own_up == "opencv" else "",
-        )
+        line = "no cameras are in %s or beside it: %d are chosen around the scene, where most of it is seen; "
+        line += "splat.folder=FOLDER reads those of the photographs%s"
+        _log.warning(line, path.name, len(names), told)
         return cameras, sources, "chosen"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
@@ -257,8 +259,11 @@ def cameras_of(
     return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
 
 
-def _doubt_of_up(gaussians: Gaussians) -> str:
-    """What to type if up is not -y, OpenCV's, where flat Gaussians, as of a floor, lie across another axis."""
+def _found_up(gaussians: Gaussians) -> tuple[str, str]:
+    """The axes by which a scene stands upright, and a line on them; -y, OpenCV's, is up unless a floor says otherwise.
+
+    Flat Gaussians across an axis are a floor where there is much above and nothing below; a wall has a floor before it.
+    """
     every = max(1, gaussians.means.shape[1] // COUNTED)
     gaussians = gaussians.map(lambda tensor: tensor[:, ::every])
     turned = matrix_from_wxyz(F.normalize(gaussians.rotations[0].double(), dim=-1))  # N 3 3
@@ -267,10 +272,18 @@ def _doubt_of_up(gaussians: Gaussians) -> str:
     # Round Gaussians have no normal, and large ones are more of the surface, though the largest may be sky.
     area = scales[:, 1] * scales[:, 2]
     weights = gaussians.opacities[0] * area.clamp(max=float(area.quantile(0.9))) * (scales[:, 0] < FLAT * scales[:, 1])
-    shares = (weights[:, None] * normals**4).sum(0)
+    across = weights[:, None] * normals**4  # N 3
+    shares, means, opacities = across.sum(0), gaussians.means[0].double(), gaussians.opacities[0].double()
+    heights = (means - (across * means).sum(0) / shares.clamp_min(1e-12)) / (means.std(0) + 1e-12)
+    over, under = (((side * heights > 0.2) * opacities[:, None]).sum(0) / opacities.sum() for side in (1, -1))
+    for axis, up in ((1, "y"), (2, "z")):
+        others = shares.sum() - shares[axis]
+        if shares[axis] >= LEVEL * others and over[axis] > ABOVE and under[axis] < BELOW:
+            return up, f"; {up} is taken to be up, for a floor lies across it: splat.up=opencv if it is -y"
     if not shares.sum() or shares[2] < LEVEL * shares[1]:
-        return "; up is taken to be -y, and splat.up=y or splat.up=z says that it is another axis"
-    return "; its surfaces lie mostly across z, and up is taken to be -y: splat.up=z if renders lie on their side"
+        return "opencv", "; up is taken to be -y, and splat.up=y or splat.up=z says that it is another axis"
+    told = "; its surfaces lie mostly across z, and up is taken to be -y: splat.up=z if renders lie on their side"
+    return "opencv", told
 
 
 def facing(gaussians: Gaussians, number: int, side: int, renderer: Renderer) -> Cameras:

@@ -167,14 +167,9 @@ def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
     if match is not None and match.unknown_words and match.similarity <= 0:
         raise UserError(f"the style encoder knows no word of the text {text!r}; say it in English, or give a picture")
     if match is not None and match.unknown_words:
-        _log.warning(
-            "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)%s",
-            text,
-            ", ".join(match.unknown_words),
-            match.description,
-            match.similarity,
-            match.remedy and f"; {match.remedy}",
-        )
+        line = "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)%s"
+        words, remedy = ", ".join(match.unknown_words), match.remedy and f"; {match.remedy}"
+        _log.warning(line, text, words, match.description, match.similarity, remedy)
     return () if match is None else (match,)
 
 

@@ -236,14 +236,9 @@ class StepData(pl.LightningDataModule):
     def train_dataloader(self) -> StepLoader:
         trainer = self.trainer
         assert trainer is not None
-        return StepLoader(
-            self.train,
-            start=trainer.global_step * trainer.accumulate_grad_batches,
-            stop=trainer.max_steps * trainer.accumulate_grad_batches,
-            rank=trainer.global_rank,
-            world=trainer.world_size,
-            workers=self.workers,
-        )
+        start, stop = (steps * trainer.accumulate_grad_batches for steps in (trainer.global_step, trainer.max_steps))
+        rank, world = trainer.global_rank, trainer.world_size
+        return StepLoader(self.train, start=start, stop=stop, rank=rank, world=world, workers=self.workers)
 
     def val_dataloader(self) -> StepLoader | list[Value]:
         if self.validation is None:
