@@ -57,13 +57,11 @@ class Stylizer(nn.Module):
 
     @contextlib.contextmanager
     def _precision(self, device: torch.device) -> Iterator[None]:
-        if self.precision != "reference":  # autocast is left to the caller, such as a training
-            yield
-            return
+        mixed = self.precision == "reference"  # otherwise autocast is left to the caller, such as a training
         before = torch.get_float32_matmul_precision()
-        torch.set_float32_matmul_precision("high" if device.type == "cuda" else before)  # TF32, as published
+        torch.set_float32_matmul_precision("high" if mixed and device.type == "cuda" else before)  # TF32, as published
         try:
-            with torch.autocast(device.type, torch.bfloat16):
+            with torch.autocast(device.type, torch.bfloat16) if mixed else contextlib.nullcontext():
                 yield
         finally:
             torch.set_float32_matmul_precision(before)

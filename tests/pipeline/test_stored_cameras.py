@@ -70,7 +70,7 @@ def test_a_damaged_file_of_cameras_is_named_and_not_used(capture, caplog):
 UNREAD = {
     "cams/00000000_cam.txt": "MVSNet's; give the COLMAP model", "bundle.out": "Bundler's; kapture's kapture_import_b",
     "images/cameras.sfm": "Meshroom's; aliceVision_exportColmap", "sfm.json": "Meshroom's; aliceVision_exportColmap",
-    "opensfm/reconstruction.json": "OpenSfM's; opensfm export_colmap", "scene.nvm": "VisualSFM's; kapture's",
+    "opensfm/reconstruction.json": "OpenSfM's; opensfm export_colmap",
     "images/out/sfm_data.json": "OpenMVG's; openMVG_main_openMVG2Colmap", "project.psx": "Metashape; File > Export >",
     "database.db": "COLMAP's features without a model; colmap mapper", "images.bin": "half of a COLMAP model; copy its",
     "images/found/transforms.json": "there are cameras in .*; poses=known poses_from=.*transforms.json uses them",

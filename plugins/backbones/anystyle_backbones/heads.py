@@ -169,7 +169,7 @@ def centred_cameras(
     """
     height, width = size
     focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
-    last = constant((0.0, 0.0, 0.0, 1.0), origin).expand(*origin.shape[:-1], 1, 4)
+    last = constant((0.0, 0.0, 0.0, 1.0), origin.device, origin.dtype).expand(*origin.shape[:-1], 1, 4)
     # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
     pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
     zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)

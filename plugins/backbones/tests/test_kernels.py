@@ -37,7 +37,7 @@ class Kernels(TorchDispatchMode):
 def test_a_block_is_few_kernels() -> None:
     """Four products, four norms, attention, GELU, two residuals, and three for each rotation."""
     block, tokens = Block(32, 2, mlp_ratio=4.0, layer_scale=0.1, qk_norm=True), torch.randn(2, 7, 32)
-    angles = rotary(grid_positions((2, 3)), 16, base=100.0, like=tokens)
+    angles = rotary(grid_positions((2, 3), 1), 16, base=100.0, like=tokens)
     block(tokens, angles)
     with Kernels() as kernels:
         block(tokens, angles)

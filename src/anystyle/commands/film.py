@@ -63,10 +63,8 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
         cameras, sources, _ = cameras_of(path, saved, ViewOptions(), splat, render, 2, side, given.up)
         saved = replace(saved, cameras=cameras, names=tuple(each.name for each in sources), photographed=False)
     elif size is not None:  # photographs may be larger than the views that the scene was made of
-        views = [
-            view_camera(camera, SourceImage.covering(name, camera.size, size))
-            for name, camera in saved_cameras(saved).items()
-        ]
+        stored = saved_cameras(saved).items()
+        views = [view_camera(camera, SourceImage.covering(name, camera.size, size)) for name, camera in stored]
         saved = replace(saved, cameras=Cameras.cat(views, dim=1))
     titles = [title for title, _ in saved.styles]
     if arguments.style not in (None, *titles):

@@ -17,7 +17,6 @@ from anystyle.types import Cameras, SourceImage
 _log = logging.getLogger(__name__)
 
 _WRITE = "write a transforms.json of them"
-_KAPTURE = "kapture's kapture_import_{}.py and kapture_export_colmap.py write a COLMAP model"
 UNREAD: Mapping[str, str] = {
     "cameras.[bt][ix][nt]": "half of a COLMAP model; copy its images file too",
     "images.[bt][ix][nt]": "half of a COLMAP model; copy its cameras file too",
@@ -29,8 +28,7 @@ UNREAD: Mapping[str, str] = {
     "sfm.json": "Meshroom's; aliceVision_exportColmap -i sfm.json -o colmap writes a COLMAP model",
     "sfm_data.[jb]*": "OpenMVG's; openMVG_main_openMVG2Colmap -i sfm_data.bin -o colmap writes a COLMAP model",
     "reconstruction.json": "OpenSfM's; opensfm export_colmap writes a COLMAP model",
-    "bundle*.out": f"Bundler's; {_KAPTURE.format('bundler')}",
-    "*.nvm": f"VisualSFM's; {_KAPTURE.format('nvm')}",
+    "bundle*.out": "Bundler's; kapture's kapture_import_bundler.py and kapture_export_colmap.py write a COLMAP model",
     "*_cam.txt": f"MVSNet's; give the COLMAP model that they were made of, or {_WRITE}",
     "*calibrated_camera_parameters.txt": f"Pix4D's; {_WRITE}",
     "cameras*.npz": f"matrices of NeuS or IDR; {_WRITE}",

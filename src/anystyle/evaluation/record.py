@@ -39,11 +39,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
         scores={**evaluation.scores, **evaluation.times},
         better={**evaluation.better, **dict.fromkeys(evaluation.times, "lower")},
     )
-    facts = {
-        "n": evaluation.n,
-        "better": dict(evaluation.better),
-        "stand_ins": dict(evaluation.stand_ins),
-    }
+    facts = {"n": evaluation.n, "better": dict(evaluation.better), "stand_ins": dict(evaluation.stand_ins)}
     table = summary(evaluation)
     rows = rows_table(evaluation.rows, evaluation.stand_ins)
     texts = {"metrics.csv": rows.csv(), "table.md": table.markdown(), "table.tex": table.latex()}

@@ -70,13 +70,6 @@ class LayerScale(nn.Module):
         return torch.addcmul(x, change, self.gamma)
 
 
-class Residual(nn.Module):
-    """A residual as it is."""
-
-    def forward(self, x: Float[Tensor, "*batch C"], change: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
-        return x + change
-
-
 class Block(nn.Module):
     """A pre-norm transformer block, with LayerScale unless it is a plain ViT's.
 
@@ -105,10 +98,10 @@ class Block(nn.Module):
         hidden = int(dim * mlp_ratio)
         self.norm1 = nn.LayerNorm(dim, eps=eps)
         self.attn = Attention(dim, heads, qk_norm=qk_norm)
-        self.ls1 = Residual() if layer_scale is None else LayerScale(dim, layer_scale)
+        self.ls1 = torch.add if layer_scale is None else LayerScale(dim, layer_scale)
         self.norm2 = nn.LayerNorm(dim, eps=eps)
         self.mlp = SwiGlu(dim, hidden) if ffn == "swiglu" else Mlp(dim, hidden, dim)
-        self.ls2 = Residual() if layer_scale is None else LayerScale(dim, layer_scale)
+        self.ls2 = torch.add if layer_scale is None else LayerScale(dim, layer_scale)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
         x = self.ls1(x, self.attn(self.norm1(x), angles))

@@ -1,6 +1,5 @@
 """What transformers read of images: normalised pixels, grids of patches, and their rotary position embedding."""
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -14,20 +13,16 @@ IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
-def constant(values: Sequence[float], like: Float[Tensor, "..."]) -> Float[Tensor, " n"]:
-    """Numbers as a tensor with the device and dtype of ``like``, made once: a copy to a card waits for the card."""
-    return _constant(tuple(values), like.device, like.dtype)
-
-
 @lru_cache(maxsize=256)
-def _constant(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Tensor:
+def constant(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Float[Tensor, " n"]:
+    """Numbers as a tensor, made once: a copy to a card waits for the card."""
     with torch.inference_mode(False):  # a later training reads it, too
         return torch.tensor(values, device=device, dtype=dtype)
 
 
 def normalised(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 H W"]:
     """Images in [0, 1], normalised by the ImageNet mean and standard deviation."""
-    mean, std = constant(IMAGENET_MEAN, images), constant(IMAGENET_STD, images)
+    mean, std = (constant(each, images.device, images.dtype) for each in (IMAGENET_MEAN, IMAGENET_STD))
     return (images - mean[:, None, None]) / std[:, None, None]
 
 

@@ -54,13 +54,11 @@ def arguments(plugin: Plugin) -> set[str] | None:
         return None
     for each in source.body:
         if isinstance(each, ast.FunctionDef) and each.name == "__init__":
-            return (
-                None if each.args.kwarg else {item.arg for item in (*each.args.args, *each.args.kwonlyargs)} - {"self"}
-            )
+            given = each.args
+            return None if given.kwarg else {item.arg for item in (*given.args, *given.kwonlyargs)} - {"self"}
     is_dataclass = any("dataclass" in ast.unparse(each) for each in source.decorator_list) and not source.bases
-    return (
-        {ast.unparse(each.target) for each in source.body if isinstance(each, ast.AnnAssign)} if is_dataclass else None
-    )
+    names = {ast.unparse(each.target) for each in source.body if isinstance(each, ast.AnnAssign)}
+    return names if is_dataclass else None
 
 
 def _source(plugin: Plugin) -> ast.ClassDef | None:

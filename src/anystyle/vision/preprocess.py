@@ -32,9 +32,7 @@ def resized(
 
 
 def as_pillow(
-    images: Float[Tensor, "M 3 H W"],
-    shape: tuple[int, int],
-    kernel: Image.Resampling = Image.Resampling.BILINEAR,
+    images: Float[Tensor, "M 3 H W"], shape: tuple[int, int], kernel: Image.Resampling = Image.Resampling.BILINEAR
 ) -> Float[Tensor, "M 3 h w"]:
     """Images resized by Pillow as in the published scripts: with antialiasing, 8 bits before and after."""
     planes = images.clamp(0, 1).mul_(255).round_().byte().cpu().flatten(0, 1).contiguous().numpy()

@@ -58,7 +58,7 @@ class Adapter(contracts.Adapter):
         rotations = wxyz_from_xyzw(rotation / (rotation.norm(dim=-1, keepdim=True) + 1e-8))
         if clusters is not None:
             opacities = opacities * clusters.valid
-            identity = constant((1.0, 0.0, 0.0, 0.0), rotations)
+            identity = constant((1.0, 0.0, 0.0, 0.0), rotations.device, rotations.dtype)
             rotations = torch.where(clusters.valid[..., None], rotations, identity)
         return Gaussians(
             means=self._points(geometry) if clusters is None else clusters.means,
@@ -70,7 +70,7 @@ class Adapter(contracts.Adapter):
 
     def harmonics(self, color: Float[Tensor, "B N 3 K"]) -> Float[Tensor, "B N L 3"]:
         """Damped coefficients, coefficient-major; see ``sh_mode``."""
-        factors = constant(damping(self.sh_degree), color)
+        factors = constant(tuple(damping(self.sh_degree)), color.device, color.dtype)
         coefficients = color.shape[-1]
         spread = self.sh_mode == "reference" and coefficients == 1
         return (color * (factors if spread else factors[:coefficients])).mT

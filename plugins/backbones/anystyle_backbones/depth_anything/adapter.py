@@ -89,7 +89,7 @@ class Adapter(contracts.Adapter):
 def harmonics(color: Float[Tensor, "B V H W 3 K"], cameras: Cameras) -> Float[Tensor, "B V H W K 3"]:
     """Damped coefficients, rotated into the world, coefficient-major."""
     degree = round(color.shape[-1] ** 0.5) - 1
-    damped = color * constant(damping(degree), color)
+    damped = color * constant(tuple(damping(degree)), color.device, color.dtype)
     if degree == 0:  # the same from every direction
         return damped.mT
     rotation = cameras.world_from_camera[..., :3, :3]

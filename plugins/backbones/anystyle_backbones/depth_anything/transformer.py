@@ -112,7 +112,7 @@ class Aggregator(contracts.Aggregator):
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
         """Turn the stem into tapped features."""
         views = stem.data.shape[1]
-        places = grid_positions(stem.grid, device=stem.data.device)
+        places = grid_positions(stem.grid, stem.special, stem.data.device)
         # Across views, as published: the leading token is at (0, 0), every patch at (1, 1).
         within, across = (
             rotary(each, self.head_dim, base=self.rope_base, like=stem.data) for each in (places, places.clamp_max(1))

@@ -23,7 +23,7 @@ EPSILON = 1e-6
 def angles_of(tokens: Tokens, *, dim: int, base: float) -> Rotary:
     """Angles of a view's tokens: patches count from (0, 0), special tokens stand below the first column."""
     places = grid_positions(tokens.grid, tokens.special, tokens.data.device) - 1
-    places[: tokens.special] = constant((float(tokens.grid[0]), 0.0), places)
+    places[: tokens.special] = constant((float(tokens.grid[0]), 0.0), places.device, places.dtype)
     return rotary(places, dim, base=base, like=tokens.data)
 
 
