@@ -38,7 +38,7 @@ from anystyle_study.contract import Responses
 from anystyle_study.figures import as_svg, likert, means, power
 from anystyle_study.power import Scenario, power_study, power_table
 from anystyle_study.report import tests_table
-from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
+from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
 from anystyle_study.statistics import variation
 from anystyle_study.wording import response_level
 
@@ -133,7 +133,6 @@ tests = {
     "wilcoxon": Wilcoxon(),
     "sign_flip": SignFlip(),
     "crossed_t": CrossedT(),
-    "ordinal_mixed": OrdinalMixed(),
 }
 analysis = analyze(records, tests, AnalysisOptions(titles={"style": "Style (reconstructed)"}, margin=0.1))
 SVG(as_svg(likert(analysis), "likert"))

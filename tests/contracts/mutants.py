@@ -337,10 +337,12 @@ class Summed(ToyLoss):
         return super().forward(result) * len(result.renders.color)
 
 
+HALF = torch.tensor([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 ROLLED, CONJUGATE = [1, 2, 3, 0], torch.tensor([1.0, -1.0, -1.0, -1.0])
 
 MISPLACED = [
     *(posed(change) for change in (inverted, opengl, farther, in_fractions, longer)),
+    posed(lambda cameras: replace(cameras, intrinsics=cameras.intrinsics + HALF)),
     lambda views: scale("depth", along_ray(views.cameras))(views),
     lambda views: replace(views, depth=views.depth.log()),
     scale("depth", 1000.0),

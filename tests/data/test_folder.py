@@ -309,9 +309,7 @@ def test_a_folder_that_is_named_as_maps_may_hold_the_only_photographs(tmp_path, 
         (tmp_path / name).parent.mkdir(exist_ok=True)
         save(tmp_path / name)
     assert read(tmp_path)[0].names == ("a",)  # depth has its names, and is silent
-    assert caplog.messages == [
-        f"the images in {tmp_path / 'normal'} are left out, for its name is that of maps of photographs"
-    ]
+    assert len(caplog.messages) == 1 and "normal are left out, for its name is that of maps" in caplog.text
     shutil.rmtree(tmp_path / "photos")
     shutil.rmtree(tmp_path / "depth")
     assert read(tmp_path)[0].names == ("IMG_1", "IMG_2")

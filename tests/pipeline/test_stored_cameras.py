@@ -72,7 +72,7 @@ UNREAD = {
     "images/cameras.sfm": "Meshroom's; aliceVision_exportColmap", "sfm.json": "Meshroom's; aliceVision_exportColmap",
     "opensfm/reconstruction.json": "OpenSfM's; opensfm export_colmap", "scene.nvm": "VisualSFM's; kapture's",
     "images/out/sfm_data.json": "OpenMVG's; openMVG_main_openMVG2Colmap", "project.psx": "Metashape; File > Export >",
-    "database.db": "COLMAP's features without a model; colmap mapper",
+    "database.db": "COLMAP's features without a model; colmap mapper", "images.bin": "half of a COLMAP model; copy its",
     "images/found/transforms.json": "there are cameras in .*; poses=known poses_from=.*transforms.json uses them",
 }  # fmt: skip
 

@@ -142,6 +142,8 @@ def cut_of(originals: Sequence[Original]) -> tuple[Cut | None, Sequence[Original
     number of views is asked for.
     """
     wide = [one for one in originals if one.panorama != 0 and one.size[1] == 2 * one.size[0]]
+    if originals[0].panorama and not wide:
+        raise UserError(f"views.panorama={originals[0].panorama}: no photograph is twice as wide as high")
     known = [one for one in wide if one.panorama or (one.path and panorama_tag(one.path)) or closes(one.picture)]
     if 2 * len(known) <= max(len(wide), len(originals) - len(wide)):
         return None, originals

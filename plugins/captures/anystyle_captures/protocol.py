@@ -34,9 +34,10 @@ from anystyle.types import Comparison, OnProgress, Progress, Scene, Style, Views
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
 from anystyle_captures.camera_files.samples import write_wall
-from anystyle_captures.fit import Fit, QualityLevel, fit_photographs, scene_of_fit
+from anystyle_captures.fit import STEREO_SIDE, Fit, QualityLevel, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import quality_of
+from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from anystyle_captures.twins import groups, held_out
 
@@ -44,8 +45,6 @@ BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher"}
 KINDS = ("fit", "feedforward")
 PAINTING = "example:wave"
 """The style in which metrics judge fitted scenes where none is configured."""
-OPAQUE = 0.9
-"""Opacity from which on a pixel of the fit has a depth."""
 
 
 class _Result(NamedTuple):
@@ -65,7 +64,8 @@ class Captures(Protocol):
     CPU seconds of the cameras, of each reconstruction and of restyling it once are in the provenance, under ``costs``.
 
     Metrics that are chosen judge all views of each capture: the ``photographs`` themselves, the ``unstyled`` fit, and
-    the fit ``stylized`` in each style, with the cameras and the depth of the fit.
+    the fit ``stylized`` in each style, with the cameras of the fit and the depth by stereo that it begins with, where
+    another photograph confirms it: behind a fit's surfaces there is a backdrop, which moves its expected depth.
 
     Args:
         stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
@@ -161,6 +161,7 @@ class Captures(Protocol):
                 "lpips_network": self.lpips.source.stand_in or self.lpips.source.network,
                 "costs": {name: record["costs"] for name, record in records.items()},
                 "cameras": {name: record["cameras"] for name, record in records.items()},
+                "warnings": [text for record in records.values() for text in record.get("warnings", [])],
             },
         )
 
@@ -180,6 +181,7 @@ class Captures(Protocol):
         photographs, masks = views.images[0, chosen], Masks.of(views)
         measured = None if masks is None else masks.select(chosen).measured
         scores: dict[str, Mapping[str, float]] = {}
+        warned = list[str]()
         for kind, reconstruct in (("fit", self._fit), ("feedforward", self._feedforward)):
             start = time.process_time()
             try:
@@ -193,13 +195,14 @@ class Captures(Protocol):
             costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
             costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
             if kind == "fit" and self.metrics:
-                scores |= self._stylized(views, result.scene, path.stem, folder)
+                judged, warned = self._stylized(views, points, result.scene, path.stem, folder)
+                scores |= judged
             for index, render in enumerate(result.renders):
                 to_pil(render).save(folder / f"{kind}_{index}.png")
         for index, photograph in enumerate(photographs):
             to_pil(photograph).save(folder / f"photograph_{index}.png")
-        cameras["twins"] = count - len(different)
-        return {"scores": scores, "costs": costs, "cameras": cameras, "views": count, "heldout": len(chosen)}
+        cameras["twins"], counts = count - len(different), {"views": count, "heldout": len(chosen)}
+        return {"scores": scores, "costs": costs, "cameras": cameras, "warnings": warned, **counts}
 
     def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
         """Views with cameras, sparse points where they are known, and the entries of the report on the cameras."""
@@ -271,8 +274,10 @@ class Captures(Protocol):
         distance = self.lpips.compare(self.lpips.describe(renders), self.lpips.describe(photographs))
         return quality | {self.lpips.name: float(distance.mean())}
 
-    def _stylized(self, views: Views, scene: Scene, name: str, folder: Path) -> dict[str, Mapping[str, float]]:
-        """Scores of the photographs, of the fit and of the fit in each style, along the fit's depth."""
+    def _stylized(
+        self, views: Views, points: Sequence[Tensor] | None, scene: Scene, name: str, folder: Path
+    ) -> tuple[dict[str, Mapping[str, float]], list[str]]:
+        """Scores of the photographs, of the fit and of the fit in each style, along depth by stereo, with warnings."""
         stylizer, device, cameras = self.stylizer, self.stylizer.device, scene.cameras
         styles = [] if self.styles is None else [self.styles.read(index) for index in range(len(self.styles))]
         styles = styles or [Style(image=read_image(resolved(Path(PAINTING)))[None], names=(PAINTING,))]
@@ -281,22 +286,27 @@ class Captures(Protocol):
             image = None if style.image is None else style.image.to(device)
             embedding = stylizer.embed(text=style.text if image is None else None, image=image)
             gaussians = self.method(stylizer, scene, style.to(device), embedding)
-            with torch.no_grad():
-                painted.append(stylizer.render(gaussians, cameras).color)
+            painted.append(stylizer.render(gaussians, cameras).color.detach())
         to_pil(painted[0][0, 0]).save(folder / "stylized_0.png")
-        with torch.no_grad():
-            plain = stylizer.render(stylizer.unstyled(scene), cameras)
-        depth = torch.where(plain.alpha > OPAQUE, plain.depth / plain.alpha, 0)
-        photographs, scores = views.images.to(device), dict[str, Mapping[str, float]]()
-        same = {"photographs": [photographs] * len(styles), "unstyled": [plain.color] * len(styles)}
+        plain = stylizer.render(stylizer.unstyled(scene), cameras).color.detach()
+        ratio = max(1.0, min(views.size) / STEREO_SIDE)
+        size = (round(views.size[0] / ratio), round(views.size[1] / ratio))
+        small = interpolate(views.images[0].cpu(), size=size, mode="area")
+        stereo = plane_sweep(small, cameras.to("cpu").resized(size), points=points)
+        depth = interpolate(torch.where(stereo.support > 0, stereo.depth, 0)[None], views.size, mode="nearest-exact")
+        photographs = views.images.to(device)
+        base = Comparison(photographs, photographs, None, cameras, depth.to(device), (name,))
+        same = {"photographs": [photographs] * len(styles), "unstyled": [plain] * len(styles)}
+        scores, warned = dict[str, Mapping[str, float]](), dict[str, None]()
         for kind, of_styles in (same | {"stylized": painted}).items():
+            pairs = zip(of_styles, styles, strict=True)
             rows = [
-                Comparison(photographs, images, style.to(device), cameras, depth, (name,), style.names or (str(place),))
-                for place, (images, style) in enumerate(zip(of_styles, styles, strict=True))
+                replace(base, stylized=images, style=style.to(device), styles=style.names) for images, style in pairs
             ]
             found = judge_scene(self.metrics, rows).values()
             scores[kind] = {score: value for one in found for score, value in one.scores.items()}
-        return scores
+            warned |= dict.fromkeys(f"{name}: {text}" for one in found for text in one.warned)
+        return scores, list(warned)
 
     @torch.no_grad()
     def _restyle_seconds(self, scene: Scene) -> float:

@@ -96,6 +96,8 @@ def test_the_kind_of_most_photographs_is_read(tmp_path, caplog):
     assert cut_of([shots[3]._replace(panorama=8)])[0] == Cut(8)
     with pytest.raises(ValueError, match="cut into 4 to 24 views"):
         cut_of([shots[3]._replace(panorama=3)])
+    with pytest.raises(ValueError, match="panorama=8: no photograph is twice as wide as high"):
+        cut_of([shots[4]._replace(panorama=8)])
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +120,7 @@ def test_panoramas_are_found_as_rigs(walk):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_film_of_panoramas_fits_as_well_as_pinhole_pictures_from_known_places(walk, tmp_path):
     """Within 0.3 dB, of a panorama that is held out."""
     poses, panoramas = walk
@@ -138,7 +141,7 @@ def test_a_film_of_panoramas_fits_as_well_as_pinhole_pictures_from_known_places(
     rig = _Rig(cameras.intrinsics[0].double(), cameras.camera_from_world[0].double())
     for view, others in enumerate(_neighbors(rig, posed.points, cameras.size)):  # stereo sees none in two of one place
         assert others and all(other // 7 != view // 7 for other in others)
-    exact = [averaged(room(rays_of(cut, pose[:3, :3], 224), pose[:3, 3]), 2) for pose in known]
+    exact = [averaged(room(rays_of(cut, pose[:3, :3], 448), pose[:3, 3]), 4) for pose in known]
     exact = torch.stack([torch.from_numpy(np.array(picture)).permute(2, 0, 1) / 255 for picture in exact])
     placed = similarity_of_cameras(torch.from_numpy(known), cameras.world_from_camera[0].double())
     truth = replace(cameras, world_from_camera=placed.poses(torch.from_numpy(known)).float()[None])
@@ -147,4 +150,4 @@ def test_a_film_of_panoramas_fits_as_well_as_pinhole_pictures_from_known_places(
     assert options["heldout"] == tuple(range(14, 21))
     given = (images, cameras), (exact, truth)
     psnr = [fit_photographs(*one, CpuRenderer(), **options).heldout.psnr for one in given]
-    assert psnr[0] > psnr[1] - 0.3 and psnr[1] > 18
+    assert psnr[0] > psnr[1] - 0.3 and psnr[1] > 17, psnr

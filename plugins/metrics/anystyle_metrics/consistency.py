@@ -344,11 +344,9 @@ class Consistency(Metric):
 
     def _linked(self, comparison: Comparison, row: int) -> tuple[Links, Tensor]:
         """The verified pairs of a scene and their change of colour, kept for the next style."""
-        cameras = comparison.cameras
-        parts = (
-            [comparison.content[row]] if comparison.depth is None else [comparison.content[row], comparison.depth[row]]
-        )
-        parts += [] if cameras is None else [cameras.world_from_camera[row], cameras.intrinsics[row]]
+        depth, cameras, parts = comparison.depth, comparison.cameras, [comparison.content[row]]
+        if depth is not None and cameras is not None:
+            parts += [depth[row], cameras.world_from_camera[row], cameras.intrinsics[row]]
         key = [digest for part in parts for digest in digests(part)]
         if self._links is None or key != self._links[0]:
             known, photographs = _frames(comparison, row, SIDE), _small(comparison.content[row], SIDE)

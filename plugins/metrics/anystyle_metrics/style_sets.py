@@ -84,10 +84,9 @@ class StyleSet(Metric):
 
     def compute(self) -> dict[str, Tensor]:
         found = self.of_each_row()
-        first = next(iter(found))
         if all(values.isnan().all() for values in found.values()):
             text = "there is no scene in two styles, or nothing to choose among; the scores are nan"
-            warnings.warn(f"{first}: {text}", stacklevel=2)
+            warnings.warn(f"{next(iter(found))}: {text}", stacklevel=2)
         for name in (name for name in found if name.endswith("_gap")):
             of_styles = found[name][~found[name].isnan()].unique()
             if unlike := int((of_styles <= 0).sum()):

@@ -100,45 +100,6 @@ class OneSampleT(Significance):
         )
 
 
-class OrdinalMixed(Significance):
-    """Cumulative-logit model with participants, items, scenes and styles as random effects.
-
-    See :mod:`anystyle_study.clmm`. The estimate is in logits, not on the answer scale; the test is Wald's, on
-    Satterthwaite's degrees of freedom.
-    """
-
-    units: ClassVar[tuple[Unit, ...]] = ("response",)
-
-    def __call__(self, responses: Responses) -> TestResult:
-        from anystyle_study import clmm  # the only test that needs torch, which takes seconds to import
-
-        people = len(np.unique(responses.participants))
-        method = "cumulative-logit mixed model, crossed random intercepts, Laplace approximation"
-        try:
-            fitted = clmm.fit(responses)
-        except clmm.NotFitted as error:
-            return replace(self.untestable(responses, str(error), method), unit="participant", n=people)
-        low, high = t_interval(fitted.preference, fitted.error, fitted.df, self.confidence, self.alternative)
-        spreads = ", ".join(f"{sd:.2f} between {factor}" for factor, sd in fitted.sds.items())
-        statistic = fitted.preference / fitted.error
-        return self.result(
-            responses,
-            unit="participant",
-            statistic=statistic,
-            pvalue=t_pvalue(statistic, fitted.df, self.alternative),
-            estimate=fitted.preference,
-            interval=(low, high),
-            effect=math.exp(fitted.preference),
-            effect_name="cumulative_odds_ratio",
-            effect_interval=(math.exp(low), math.exp(high)),
-            n=people,
-            method=f"{method}; Wald test, {fitted.df:.1f} degrees of freedom; SD {spreads}; "
-            f"position {fitted.position:+.2f}",
-            generalizes_to=responses.populations,
-            estimate_unit="logits",
-        )
-
-
 @dataclass(kw_only=True)
 class SignFlip(Significance):
     """scipy's one-sample permutation test, which flips the sign of each participant's mean.

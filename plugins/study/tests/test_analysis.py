@@ -17,12 +17,12 @@ from anystyle_study.protocol import Rules
 from anystyle_study.reading import read_responses
 from anystyle_study.report import html as report_html
 from anystyle_study.report import latex, markdown
-from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
+from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
 from anystyle_study.wording import p_text, response_level, took_part, verdict
 from tests.support.study_cases import answer_rows, small_study, write_csv
 
 PLAIN = {"one_sample_t": OneSampleT(), "wilcoxon": Wilcoxon()}
-TESTS = PLAIN | {"sign_flip": SignFlip(resamples=499), "crossed_t": CrossedT(), "ordinal_mixed": OrdinalMixed()}
+TESTS = PLAIN | {"sign_flip": SignFlip(resamples=499), "crossed_t": CrossedT()}
 QUESTIONS = ("style", "content", "overall")
 
 
@@ -42,7 +42,7 @@ def test_every_test_is_run_at_every_unit(analysis):
     for question in as_json(analysis)["questions"].values():
         run = [(row["name"], row["unit"]) for row in question["tests"]]
         three = [(name, unit) for name in ("one_sample_t", "wilcoxon") for unit in ("response", "participant", "item")]
-        assert run == [*three, *((name, "participant") for name in ("sign_flip", "crossed_t", "ordinal_mixed"))]
+        assert run == [*three, *((name, "participant") for name in ("sign_flip", "crossed_t"))]
         for row in question["tests"]:
             assert {"statistic", "pvalue", "alternative", "estimate", "interval", "effect", "n"} <= set(row)
             assert row["interval"] == [None, None] or row["interval"][0] <= row["estimate"] <= row["interval"][1]

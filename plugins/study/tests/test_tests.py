@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from anystyle_study import clmm
 from anystyle_study.contract import Responses
-from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
+from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
 from anystyle_study.statistics import Crossing, effects, holm, krippendorff_alpha
 from tests.support.study_cases import table
 
@@ -131,7 +130,7 @@ def test_scenes_and_styles_widen_the_interval_and_the_claim():
 
 def test_one_sided_claims_have_one_sided_intervals():
     rows = answers(4)
-    for test in (OneSampleT, Wilcoxon, SignFlip, CrossedT, OrdinalMixed):
+    for test in (OneSampleT, Wilcoxon, SignFlip, CrossedT):
         unit = test.units[-1]
         both, less, greater = (
             test(alternative=alternative)(rows.at(unit)) for alternative in ("two-sided", "less", "greater")
@@ -145,21 +144,6 @@ def test_ties_that_leave_no_interval_are_told():
     result = Wilcoxon()(table(np.repeat([0.0, -1.0, 1.0], [80, 12, 8])[:, None]))
     assert math.isnan(result.interval[0])
     assert "ties" in result.note
-
-
-@pytest.mark.parametrize("shape", [(12, 7), (5, 9)])
-@pytest.mark.parametrize("neutral", [True, False])
-def test_ordinal_likelihood_gradient_equals_differences(shape, neutral):
-    random = np.random.default_rng(0)
-    values = random.integers(-2, 3, shape) + (0.0 if neutral else 0.5)
-    rows = table(values, random.random(shape) < 0.5)
-    model = clmm.OrdinalModel(responses=replace(rows, item_styles=tuple(f"{i % 3}" for i in range(shape[1]))))
-    spacings, sds = random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]
-    place = np.concatenate([[-0.3, 0.2], spacings, sds])
-    _, gradient = model.loglikelihood(place)
-    moves = 1e-5 * np.eye(len(place))
-    differences = [(model.loglikelihood(place + m)[0] - model.loglikelihood(place - m)[0]) / 2e-5 for m in moves]
-    assert gradient == pytest.approx(differences, abs=2e-5)
 
 
 def test_the_crossed_mean_of_a_complete_table_claims_no_more_than_one_factor_alone():

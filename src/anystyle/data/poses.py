@@ -19,6 +19,8 @@ _log = logging.getLogger(__name__)
 _WRITE = "write a transforms.json of them"
 _KAPTURE = "kapture's kapture_import_{}.py and kapture_export_colmap.py write a COLMAP model"
 UNREAD: Mapping[str, str] = {
+    "cameras.[bt][ix][nt]": "half of a COLMAP model; copy its images file too",
+    "images.[bt][ix][nt]": "half of a COLMAP model; copy its cameras file too",
     "database.db": "COLMAP's features without a model; colmap mapper makes one (poses=sfm does without)",
     "*.psx": "a project of Metashape; File > Export > Export Cameras writes the XML that is read",
     "*.r[cs]proj": "a project of RealityScan; export a COLMAP model",

@@ -1,5 +1,7 @@
 """What a source of scenes promises: see :class:`anystyle.contracts.SceneSource`."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -67,6 +69,13 @@ def test_views_agree(plugin: Subject[SceneSource]) -> None:
     rays = (unit - views.cameras.world_from_camera[..., None, None, :3, 3]).norm(dim=-1)
     along_z = _disagreement(views, views.depth / rays)[1]
     assert depth < max(0.005, 2 * along_z), "depth agrees better as distance along the ray; give distance along z"
+    for half in (0.5, -0.5):  # as in programs that count from the middle of the first pixel; depth must be accurate
+        lenses = views.cameras.intrinsics + half * torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        moved = _disagreement(replace(views, cameras=replace(views.cameras, intrinsics=lenses)), views.depth)[1]
+        told = (
+            f"depth agrees better with principal points moved by {half} pixels; the first pixel's middle is (0.5, 0.5)"
+        )
+        assert depth < max(1e-5, 2 * moved), told
 
 
 def _disagreement(views: Views, depth: Tensor) -> tuple[float, float]:

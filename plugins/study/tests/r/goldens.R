@@ -1,5 +1,5 @@
 # What R says of four small studies: `Rscript goldens.R` writes goldens.json beside it, with the versions that it used.
-suppressMessages({library(lme4); library(ordinal); library(jsonlite)})
+suppressMessages({library(lme4); library(jsonlite)})
 set.seed(3)
 
 study <- function(people, scenes, styles, each, shift) {
@@ -22,18 +22,6 @@ crossed <- function(rows) {
        components = as.list(setNames(variances$vcov, variances$grp)))
 }
 
-ordinal_model <- function(rows, random) {
-  rows$answer <- factor(rows$deviation, ordered = TRUE)
-  model <- clmm(as.formula(paste("answer ~ position +", random)), rows, threshold = "symmetric",
-                control = clmm.control(gradTol = 1e-6))
-  # Symmetric about their centre, which is minus the preference.
-  centre <- mean(model$alpha[1:2])
-  weights <- c(0.5, 0.5)
-  list(preference = -centre, error = sqrt(drop(t(weights) %*% vcov(model)[1:2, 1:2] %*% weights)),
-       position = model$beta[[1]], sds = lapply(VarCorr(model), function(v) sqrt(v[1, 1])),
-       loglikelihood = as.numeric(logLik(model)))
-}
-
 plain <- function(values) {
   lapply(c(less = "less", greater = "greater", two.sided = "two.sided"), function(alternative) {
     t <- t.test(values, alternative = alternative)
@@ -48,13 +36,10 @@ complete <- study(12, 5, 5, 25, -0.3)
 incomplete <- study(34, 6, 5, 8, -0.4)
 studies <- lapply(list(complete = complete, incomplete = incomplete), function(rows) {
   means <- tapply(rows$deviation, rows$participant, mean)
-  list(rows = rows, crossed = crossed(rows), participants = plain(as.numeric(means)), responses = plain(rows$deviation),
-       ordinal_two = ordinal_model(rows, "(1 | participant) + (1 | item)"),
-       ordinal_four = ordinal_model(rows, "(1 | participant) + (1 | item) + (1 | scene) + (1 | style)"))
+  list(rows = rows, crossed = crossed(rows), participants = plain(as.numeric(means)), responses = plain(rows$deviation))
 })
 result <- list(
-  versions = list(R = R.version.string, lme4 = as.character(packageVersion("lme4")),
-                  ordinal = as.character(packageVersion("ordinal"))),
+  versions = list(R = R.version.string, lme4 = as.character(packageVersion("lme4"))),
   exact = list(values = distinct, p = exact$p.value, w = exact$statistic[[1]], median = exact$estimate[[1]],
                interval = as.numeric(exact$conf.int)),
   studies = studies)
