@@ -29,7 +29,7 @@ from anystyle_captures.fit_loop import FitLoop, FitOptions, FitResult, InitialSc
 from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
-from anystyle_captures.sky import without_guesses
+from anystyle_captures.sky import without_sky
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.twins import groups, held_out
 
@@ -54,8 +54,8 @@ PRESETS = {
 STEREO_SIDE = 256
 """Short side in pixels of the images that stereo reads: Gaussians move to where larger ones have them."""
 UNSUPPORTED, BEHIND, IN_SKY = 0.1, 0.05, 0.5
-"""Fraction of pixels with texture and without a supported depth that are lifted; Gaussians of the backdrop, relative to
-all others; how many more there are if all is sky."""
+"""Fraction of pixels without a supported depth that are lifted; Gaussians of the backdrop, relative to all others; how
+many more there are if all is sky."""
 MAX_VIEWS, MANY = 320, 48
 """Photographs that are read by default, and from which on Gaussians and steps grow in proportion to them."""
 MAX_UNEXPLAINED = 0.01
@@ -291,7 +291,7 @@ def _initial(
     if masks is not None:
         smaller = masks.select(seen).resized(size)
         chosen, valid = smaller.straight(chosen.to(images)).cpu(), smaller.measured.cpu()
-    stereo = without_guesses(chosen, posed, plane_sweep(chosen, posed, points=shown, valid=valid))
+    stereo = without_sky(chosen, posed, plane_sweep(chosen, posed, points=shown, valid=valid))
     generator = torch.Generator().manual_seed(seed)
     surfaces = from_stereo(
         chosen, posed, stereo, num_gaussians=num_gaussians, unsupported=UNSUPPORTED, generator=generator

@@ -210,7 +210,7 @@ class FitLoop:
             target = target + (1 - masks.alpha[view]) * (random - 1)
             color = torch.where(masks.valid[view], color, target)
             measured = masks.measured[view, None]
-        photometric_loss(color, target, dssim=DSSIM * 2 * (self.step % 2)).backward()
+        photometric_loss(color, target, dssim=DSSIM).backward()
         self._shrink()
         self.splats.step()
         if options.exposure_lr:

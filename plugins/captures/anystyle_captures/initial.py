@@ -43,8 +43,7 @@ def from_stereo(
     generator: torch.Generator,
 ) -> InitialGaussians:
     """Lift pixels of all views, evenly over the images: those of supported depth, and a fraction of the others."""
-    chosen = torch.rand(stereo.support.shape, generator=generator) < unsupported
-    lifted = (stereo.support >= 1) | ((stereo.support == 0) & chosen)
+    lifted = (stereo.support >= 1) | (torch.rand(stereo.support.shape, generator=generator) < unsupported)
     lifted &= stereo.depth.isfinite()
     fraction = float(lifted.double().mean())
     if not bool((stereo.support >= 1).any()):
@@ -59,8 +58,8 @@ def from_stereo(
         y, x = (grid.flatten() for grid in torch.meshgrid(rows, columns, indexing="ij"))
         keep = lifted[view, y, x]
         pixels.append(torch.stack([torch.full_like(y, view), y, x], dim=1)[keep])
-    drawn = torch.cat(pixels)
-    return lift(images, cameras, stereo.depth[drawn.unbind(1)], drawn)
+    chosen = torch.cat(pixels)
+    return lift(images, cameras, stereo.depth[chosen.unbind(1)], chosen)
 
 
 def backdrop(

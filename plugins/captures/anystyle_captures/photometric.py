@@ -28,8 +28,7 @@ def photometric_loss(
     images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"], *, dssim: float
 ) -> Float[Tensor, ""]:
     """The loss of 3D Gaussian splatting: ``(1 - dssim) L1 + dssim (1 - SSIM)``, differentiable in ``images``."""
-    loss = (1 - dssim) * (images - targets).abs().mean()
-    return loss + dssim * _Dissimilarity.apply(images, targets) if dssim else loss
+    return (1 - dssim) * (images - targets).abs().mean() + dssim * _Dissimilarity.apply(images, targets)
 
 
 class Quality(NamedTuple):

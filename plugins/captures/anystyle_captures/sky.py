@@ -17,9 +17,8 @@ PLAIN = 0.02
 """Standard deviation of grey values, in [0, 1], in a window of stereo below which depths are guesses."""
 MATCHED = 0.5
 """Correlation of windows from which on a match at infinity counts, unless that at the depth found is higher."""
-DOUBT, CONFIRMED = 1, 0.6
-"""How many more views must agree on a depth of plain pixels, unless a second view supports this share of those that one
-does."""
+MIN_SKY = 0.05
+"""The share of all photographs under which a sky is left as it is: in a strip between roofs nothing is gained."""
 STRIDE, MAX_OTHERS = 4, 24
 """Pixels between those that are looked up in other views, and how many of these, evenly spaced."""
 MIN_VOTES, MIN_SHARE, MIN_AREA = 2, 0.7, 0.01
@@ -40,30 +39,22 @@ def plain(images: Float[Tensor, "V 3 H W"]) -> Bool[Tensor, "V H W"]:
     return (square - mean.square())[:, 0] < PLAIN**2
 
 
-def without_guesses(images: Float[Tensor, "V 3 H W"], cameras: Cameras, stereo: StereoDepth) -> StereoDepth:
-    """Depths by stereo that are infinite in the sky, and need more support where what they have is chance.
-
-    That is so of what is plain if few of its pixels that one view supports have the support of a second one.
-    """
-    featureless = plain(images)
-    sky = find_sky(images, cameras, stereo, featureless)
-    support = stereo.support.masked_fill(sky, 0)
-    once, twice = (int((support[featureless] >= views).sum()) for views in (1, 2))
-    if twice < CONFIRMED * once:
-        support = support - DOUBT * featureless.int()
-    return replace(stereo, depth=stereo.depth.masked_fill(sky, inf), support=support)
+def without_sky(images: Float[Tensor, "V 3 H W"], cameras: Cameras, stereo: StereoDepth) -> StereoDepth:
+    """Depths by stereo, infinite and without support in the sky of a capture that shows more than a little of it."""
+    sky = find_sky(images, cameras, stereo)
+    if sky.double().mean() < MIN_SKY:
+        return stereo
+    return replace(stereo, depth=stereo.depth.masked_fill(sky, inf), support=stereo.support.masked_fill(sky, 0))
 
 
-def find_sky(
-    images: Float[Tensor, "V 3 H W"], cameras: Cameras, stereo: StereoDepth, featureless: Bool[Tensor, "V H W"]
-) -> Bool[Tensor, "V H W"]:
+def find_sky(images: Float[Tensor, "V 3 H W"], cameras: Cameras, stereo: StereoDepth) -> Bool[Tensor, "V H W"]:
     """Pixels of the sky in posed photographs.
 
     A region of pixels that are plain or match best at infinity is sky if it reaches the upper border, lies above the
     horizon, is brighter than nearly all that it may light, and if other views that look in the same directions find
     such pixels there, or a surface before them: roads and most walls have parallax, so that they find something else.
     """
-    far = featureless | ((stereo.at_infinity > MATCHED) & (stereo.at_infinity >= stereo.confidence))
+    far = plain(images) | ((stereo.at_infinity > MATCHED) & (stereo.at_infinity >= stereo.confidence))
     far &= ~stereo.depth.isnan()
     agreed, sky, brightness = stereo.support >= 2, torch.zeros_like(far), images.amax(1)
     up = _up(cameras.world_from_camera[0, :, :3, :3])

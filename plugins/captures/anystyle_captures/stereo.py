@@ -50,7 +50,7 @@ class StereoDepth(Value):
     Args:
         depth: Along the axis of the camera.
         confidence: Correlation of the windows at this depth.
-        support: The number of other views that have a surface there; negative where that could only be chance.
+        support: The number of other views that have a surface there.
         at_infinity: Correlation of the windows at infinity.
     """
 
