@@ -14,6 +14,9 @@ from torch.overrides import TorchFunctionMode
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from anystyle.nn.tokens import constant
+from anystyle_backbones.dpt import scaled_waves
+
 DEVICE = torch.device("meta")
 _CPU = torch.device("cpu")
 _aten = torch.ops.aten
@@ -74,8 +77,18 @@ class _Operations(TorchDispatchMode):
 @contextmanager
 def elsewhere() -> Iterator[torch.device]:
     """Within it, tensors are made on that device where it is asked for."""
-    with _Literals(), _Operations():
+    with nothing_kept(), _Literals(), _Operations():
         yield DEVICE
+
+
+@contextmanager
+def nothing_kept() -> Iterator[None]:
+    """Tensors that are kept a device are not those of before, nor do they stay: several devices read ``meta``."""
+    for kept in (constant, scaled_waves):
+        kept.cache_clear()
+    yield
+    for kept in (constant, scaled_waves):
+        kept.cache_clear()
 
 
 def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:

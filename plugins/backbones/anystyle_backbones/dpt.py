@@ -47,14 +47,14 @@ def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, 
 
     Channels are a multiple of 4; ``aspect`` is width over height of the image.
     """
-    columns, rows = _scaled_waves((x.shape[-2], x.shape[-1]), aspect, x.shape[1] // 2, x.device, x.dtype)
+    columns, rows = scaled_waves((x.shape[-2], x.shape[-1]), aspect, x.shape[1] // 2, x.device, x.dtype)
     x[:, : len(columns)].add_(columns)
     x[:, len(columns) :].add_(rows)
     return x
 
 
 @lru_cache(maxsize=64)
-def _scaled_waves(
+def scaled_waves(
     size: tuple[int, int], aspect: float, channels: int, device: torch.device, dtype: torch.dtype
 ) -> tuple[Float[Tensor, "C 1 w"], Float[Tensor, "C h 1"]]:
     """A tenth of the waves of x and of y, kept: they depend on sizes alone, and take more kernels than a layer."""

@@ -26,7 +26,7 @@ from anystyle_benchmark.results import (
 )
 from anystyle_benchmark.spec import Spec
 from tests.support.benchmark_world import write_results, write_track
-from tests.support.browser import accessible, wait
+from tests.support.browser import wait
 
 LONG = "A method of a very long name that goes on and on, for a paper of " + "unbreakable" * 5
 HOSTILE = '</script><img src=x onerror=alert(1)> & "pasted"'
@@ -273,67 +273,6 @@ def test_the_page_is_not_wider_than_its_window(page, site, width, height):
     assert text(page, "html", "clientWidth") == text(page, "html", "scrollWidth") <= width
     page.click("table[data-guide=image] tbody tr:last-child td button")
     assert text(page, "dialog", "scrollWidth") == text(page, "dialog", "clientWidth")
-
-
-CONTRAST = """(() => {
-  const parts = (color) => color.match(/[\\d.]+/g).map(Number);
-  const linear = (part) => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
-  const light = (color) => {
-    const [red, green, blue] = parts(color).map((part) => linear(part / 255));
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue + 0.05;
-  };
-  const ground = (node) => {
-    const color = getComputedStyle(node).backgroundColor;
-    return parts(color)[3] === 0 ? ground(node.parentElement) : color;
-  };
-  const ratio = (node) => {
-    const [words, under] = [light(getComputedStyle(node).color), light(ground(node))];
-    return Math.max(words, under) / Math.min(words, under);
-  };
-  const said = (node) => [...node.childNodes].some((child) => child.nodeType === 3 && child.data.trim());
-  const found = [...document.querySelectorAll('main *')].filter(said);
-  return found.map((node) => [ratio(node), node.outerHTML.slice(0, 80)]).sort((a, b) => a[0] - b[0])[0];
-})()"""
-"""The lowest ratio of contrast between words and what is under them, and where it is."""
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_words_can_be_read_in_light_and_dark(page, site, scheme):
-    page.emulate_media(color_scheme=scheme)
-    _opened(page, site / "index.html")
-    ratio, where = page.evaluate(CONTRAST)
-    assert ratio >= 4.5, where
-    ground = page.evaluate("getComputedStyle(document.documentElement).backgroundColor")
-    assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(29, 31, 33)"}[scheme]
-
-
-CONTROLS = {
-    *("button", "link", "checkbox", "combobox", "slider", "searchbox"),
-    *("image", "dialog", "region", "navigation", "table"),
-}
-
-
-def test_a_screen_reader_is_told_everything(page, site):
-    _opened(page, site / "index.html")
-    nodes = accessible(page)
-    assert [one for one in nodes if one[0] in CONTROLS and not one[1].strip()] == []
-    found = {(role, " ".join(name.split())) for role, name in nodes}
-    assert {
-        ("columnheader", "color match (lower is better)"),
-        ("rowheader", "Palette"),
-        ("searchbox", "Method"),
-        ("heading", "Track “small”, version 1"),
-        ("region", "Guided by images"),
-        ("combobox", "Score"),
-    } <= found
-    assert any(role == "button" and name == "0.1 (95 % interval 0 to 0.2) best" for role, name in found)
-    page.evaluate("document.body.focus()")
-    page.keyboard.press("Tab")
-    assert page.evaluate("document.activeElement.className") == "skip"
-    page.click("table[data-guide=image] [data-method=palette] td[data-name=color_match] button")
-    nodes = accessible(page)
-    assert [one for one in nodes if one[0] in CONTROLS and not one[1].strip()] == []
-    assert {("dialog", "Palette: color match"), ("image", "image0")} <= {*nodes}
 
 
 def test_nothing_is_asked_of_the_network(page, errors, site):
