@@ -242,18 +242,3 @@ class _ParsedError(Exception):
 def _parse_only(parser, words):
     parse(parser, words)
     raise _ParsedError
-
-
-def test_what_is_wrong_is_found(tmp_path):
-    """The checks above can fail."""
-    with pytest.raises(ValueError, match="Did you mean"):
-        test_command_is_understood("page", "anystyle train experiment=tiny_style training.learning_rat=1.0")
-    with pytest.raises(ValueError, match="unrecognized"):
-        test_command_is_understood("page", "anystyle plugins check backbone mine --hints")
-    with pytest.raises(AssertionError):
-        test_command_is_understood("page", "anystyle paint photos/")
-    page = tmp_path / "page.md"
-    page.write_text("[a](b.md), `anystyle.types.Nothing`, `src/nowhere.py`, `training.nothing`\n")
-    for check in (test_links_lead_somewhere, test_names_exist, test_files_and_variables_exist, test_options_exist):
-        with pytest.raises(AssertionError):
-            check(page)

@@ -58,7 +58,7 @@ Case = tuple[str, Callable[[], Strange]]
 
 def cases() -> dict[str, Callable[[], Strange]]:
     """All by name; the suffix of a name is that of the file."""
-    made = itertools.chain(plys(), compressed(), splats(), spzs(), sogs(), ksplats())
+    made = itertools.chain(plys(), compressed(), spzs(), sogs(), ksplats())
     return dict(made)
 
 
@@ -447,56 +447,6 @@ def smallest_three(largest: Array, others: Array) -> Array:
     for row, (index, three) in enumerate(zip(largest, others, strict=True)):
         turns[row] = np.insert(three, index, np.sqrt(max(0.0, 1 - three @ three)))
     return turns
-
-
-# .splat
-
-
-def splats() -> Iterator[Case]:
-    def rows() -> Array:
-        draw = drawn(2)
-        table = np.zeros(COUNT, [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("turn", "u1", 4)])
-        table["mean"], table["scale"] = draw.normal(size=(COUNT, 3)), draw.random((COUNT, 3)) * 0.1
-        table["color"], table["turn"] = draw.integers(0, 256, (COUNT, 4)), draw.integers(0, 256, (COUNT, 4))
-        return table
-
-    def held(table: Array) -> Held:
-        color = table["color"] / 255
-        turns = (table["turn"].astype("f8") - 128) / 128
-        means, scales = table["mean"].astype("f8"), table["scale"].astype("f8")
-        return Held(means, turns, scales, color[:, 3], (color[:, None, :3] - 0.5) / C0)
-
-    def changed(name: str, value: float, line: str):
-        def make() -> Strange:
-            table = rows()
-            table[name][:3] = value
-            whole = held(table)
-            kept = whole.rows(np.arange(COUNT) > 2) if line else whole
-            return Strange(table.tobytes(), kept, (line,) if line else ())
-
-        return make
-
-    yield "as written.splat", lambda: Strange(rows().tobytes(), held(rows()))
-    lost = f"3 of {COUNT} Gaussians are left out (3 {{}})"
-    scale = "with an infinite, negative or missing scale"
-    for what, name, value, line in (
-        ("positions of NaN", "mean", NAN, lost.format("without a position")),
-        ("infinite positions", "mean", INF, lost.format("without a position")),
-        ("positions of 1e6", "mean", 1e6, ""),
-        ("scales of NaN", "scale", NAN, lost.format(scale)),
-        ("infinite scales", "scale", INF, lost.format(scale)),
-        ("negative scales", "scale", -1, lost.format(scale)),
-        ("scales of 0", "scale", 0, ""),
-        ("transparent", "color", 0, ""),
-        ("opaque", "color", 255, ""),
-        ("quaternions of 0", "turn", 128, ""),
-    ):
-        yield f"{what}.splat", changed(name, value, line)
-    yield (
-        "bytes behind the end.splat",
-        lambda: Strange(rows().tobytes() + b"\0" * 5, held(rows()), ("5 bytes behind the last Gaussian are left out",)),
-    )
-    yield "no rows.splat", lambda: Strange(b"", "is empty")
 
 
 # SPZ

@@ -1,7 +1,6 @@
 """Methods run in processes of their own: what they write, take and leave undone is recorded cell by cell."""
 
 import json
-import sys
 import time
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import read_json
 from anystyle_benchmark.command_run import main
-from anystyle_benchmark.environment import interpreter
 from anystyle_benchmark.results import Cell, Origin, Record, wrong_images
 from anystyle_benchmark.spec import read_spec
 
@@ -248,17 +246,3 @@ def test_a_spec_that_says_too_little_or_too_much_is_refused(tmp_path, text, mess
     (tmp_path / "x.toml").write_text(text)
     with pytest.raises(UserError, match=message):
         read_spec(str(tmp_path / "x.toml"))
-
-
-def test_requirements_that_do_not_exist_are_one_line(tmp_path, monkeypatch):
-    monkeypatch.setenv("ANYSTYLE_ENVIRONMENTS", str(tmp_path))
-    monkeypatch.setenv("PIP_NO_INDEX", "1")
-
-    def create(folder, **options):  # at once: this interpreter has pip, too
-        (folder / "bin").mkdir(parents=True)
-        (folder / "bin" / "python").symlink_to(sys.executable)
-
-    monkeypatch.setattr("venv.create", create)
-    with pytest.raises(UserError, match=r"environment cannot be installed: .*no-such-package"):
-        interpreter(["no-such-package==0"])
-    assert interpreter([]) == Path(sys.executable)

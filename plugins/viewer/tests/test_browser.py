@@ -159,23 +159,6 @@ def test_a_dropped_picture_is_a_style_and_what_is_none_is_told(viewer, page, tmp
     assert viewer.session.gaussians is styled
 
 
-def test_two_browsers_share_styles_and_each_looks_as_it_likes(viewer, browser, page, tmp_path):
-    unstyled = viewer.session.restyler.unstyled
-    with new_page(browser, viewport=WINDOW) as other:
-        view = visit(other, viewer)
-        paint(other, "red dots")
-        shown(page, "red dots")
-        styled = viewer.session.gaussians
-        view.unstyled.value = True
-        view.refresh()
-        compared(view, expected(unstyled), tmp_path / "other.png")
-        compared(page.view, expected(styled), tmp_path / "page.png")
-        paint(other, "blue waves")  # a new style is not hidden
-        assert view.unstyled.value is False
-        compared(view, expected(viewer.session.gaussians), tmp_path / "new.png")
-    until(lambda: len(viewer._views) == 1)
-
-
 def test_before_and_after_part_at_the_line_and_follow_the_camera(viewer, page, tmp_path):
     paint(page, "red dots")
     styled, before = expected(viewer.session.gaussians), expected(viewer.session.restyler.unstyled)
