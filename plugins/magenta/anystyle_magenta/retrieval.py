@@ -20,7 +20,8 @@ class MagentaRetrieval(Retrieval):
     An independent judge of models trained with EfficientNet-Lite0, but not of ``model=painter``, which uses it.
 
     Example:
-        >>> images = torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> fine = torch.rand(1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.cat([fine, fine[..., :4, :4].repeat_interleave(16, -1).repeat_interleave(16, -2)])
         >>> metric = MagentaRetrieval()
         >>> metric.update(images, images)
         >>> metric.compute()["magenta_retrieval"]  # results are their style images

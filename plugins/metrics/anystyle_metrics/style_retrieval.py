@@ -61,7 +61,8 @@ class StyleRetrieval(Retrieval):
     A judge of what was not trained with that network; ``magenta_retrieval`` is another.
 
     Example:
-        >>> images = torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> fine = torch.rand(1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> images = torch.cat([fine, fine[..., :4, :4].repeat_interleave(16, -1).repeat_interleave(16, -2)])
         >>> metric = StyleRetrieval()
         >>> metric.update(images, images)
         >>> metric.compute()["style_retrieval"]  # results are their style images

@@ -97,6 +97,8 @@ class StyleSet(Metric):
     def of_each_row(self) -> dict[str, Float[Tensor, " N"]]:
         """The scores of each row."""
         rows, styles, scenes = stacked(self.rows), stacked(self.styles), stacked(self.scenes)
+        if not len(rows):
+            return dict.fromkeys(self.better, rows)
         gallery, places = torch.cat([styles, *self._gallery]).unique(dim=0, return_inverse=True)  # G 3 L D, N + ...
         own = places[: len(rows)]
         found = rows.new_full((gallery.shape[2], 3, len(rows)), torch.nan, dtype=torch.float64)
