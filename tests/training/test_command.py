@@ -19,6 +19,7 @@ from anystyle.errors import UserError
 from anystyle.io.run_folder import changes
 from anystyle.registry.compose import compose
 from anystyle.training.resume import bound
+from anystyle.training.safeguards import FiniteLoss
 from anystyle.training.stylization import StylizationTraining
 from anystyle.training.trainer import make_trainer
 from tests.support.training_cases import BACKBONE, STYLIZATION, configuration
@@ -157,7 +158,7 @@ def test_where_files_lie_is_not_compared_and_one_folder_is_the_same_by_each_of_i
 def test_arguments_of_the_trainer_need_no_plus(tmp_path):
     words = ["accumulate_grad_batches=2", "max_time='00:01:00:00'", "gradient_clip_algorithm=value"]
     config = configuration([*STYLIZATION, *(f"trainer.{word}" for word in words)], tmp_path)
-    trainer = make_trainer(config, tmp_path, [])
+    trainer = make_trainer(config, tmp_path, FiniteLoss(tmp_path / "refused_batch.pt"), [])
     assert trainer.accumulate_grad_batches == 2 and trainer.gradient_clip_algorithm == "value"
 
 

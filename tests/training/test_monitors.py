@@ -85,7 +85,7 @@ def test_a_trial_exercises_everything_and_leaves_nothing(tmp_path, monkeypatch):
 
 def test_a_loss_that_explodes_stops_the_run(tmp_path):
     config = configuration(STYLIZATION, tmp_path)
-    trainer = make_trainer(config, tmp_path, [])
+    trainer = make_trainer(config, tmp_path, FiniteLoss(tmp_path / "refused_batch.pt"), [])
     guard = FiniteLoss(tmp_path / "batch.pt", growth=10.0)
     training = make_training(config)
     for step in range(25):
@@ -129,7 +129,7 @@ def test_contradictory_options_are_refused_in_one_line(tmp_path, words, told):
     with pytest.raises(ValueError, match=told) as caught:
         config = configuration((*STYLIZATION, *words), tmp_path)
         check_options(config)
-        make_trainer(config, tmp_path, [])
+        make_trainer(config, tmp_path, FiniteLoss(tmp_path / "refused_batch.pt"), [])
     assert "\n" not in str(caught.value)
 
 

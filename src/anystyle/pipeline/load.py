@@ -314,7 +314,7 @@ def build_and_load(
     stylizer = Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer)
     for module in modules_in_bf16(config.precision, backbone, branch):
         module.to(torch.bfloat16)
-    stylizer.precision = config.precision
+    stylizer.precision = "fp32" if config.precision == "auto" else config.precision
     return stylizer, headers
 
 

@@ -128,7 +128,9 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
         best = [
             Best(name, lambda step, value: written(out / BEST, steps=step, **{name: value}), config.checkpoint.mode)
         ]
-    trainer = make_trainer(config, out, [*best, *([average] if average else []), checkpoint])
+    growth = None if config.explosion is None else float(config.explosion)
+    guard = FiniteLoss(out / "refused_batch.pt", growth=growth)
+    trainer = make_trainer(config, out, guard, [*best, *([average] if average else []), checkpoint])
     sources = make_sources(config)
     for kind in catalog().owner("training", str(config.training.get("_target_"))).load().needs:
         required(sources[kind], kind)
@@ -156,10 +158,9 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
             trainer.fit(training, datamodule=data, ckpt_path=path, weights_only=resumed is not None or None)
         except DistBackendError as error:
             raise UserError("another process of this training has ended; its own message says why") from error
-        except Exception as error:
-            guards = [each for each in trainer.callbacks if isinstance(each, FiniteLoss)]  # type: ignore[attr-defined]
-            if guards[0].refusal:
-                raise guards[0].refusal from None
+        except Exception as error:  # whatever came of numbers that are not finite: the guard knows a better line
+            if guard.refusal not in (None, error):
+                raise guard.refusal from error
             strange = isinstance(error, (RuntimeError, KeyError, TypeError, AttributeError))
             if resumed is None or checkpoint.started or not strange:
                 raise

@@ -60,12 +60,8 @@ class FiniteLoss(Callback):
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
         """Decompositions, indices and checks may refuse what a network gives before its loss is known: look again."""
-        if (
-            self._batch is None
-            or self.refusal
-            or isinstance(exception, OSError)
-            or not isinstance(exception, Exception)
-        ):
+        unrelated = isinstance(exception, OSError) or not isinstance(exception, Exception)
+        if self._batch is None or self.refusal or unrelated:
             return
         broken: list[nn.Module] = []
 

@@ -82,15 +82,18 @@ def check_options(config: DictConfig) -> None:
         )
 
 
-def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) -> pl.Trainer:
-    """Build the trainer of a run; ``config.trainer`` holds options of Lightning's."""
+def make_trainer(config: DictConfig, out: Path, guard: FiniteLoss, callbacks: list[pl.Callback]) -> pl.Trainer:
+    """Build the trainer of a run; ``config.trainer`` holds options of Lightning's.
+
+    ``guard`` comes ahead of what scales gradients, so that it sees their own norm.
+    """
     values: Any = OmegaConf.to_container(config.trainer, resolve=True)
     is_terminal = sys.stderr.isatty()
     options = {"num_sanity_val_steps": 0, "enable_model_summary": False, "enable_progress_bar": is_terminal}
     options |= {name: value for name, value in values.items() if value is not None}
     common: list[pl.Callback] = [
         StepSeed(config.seed),
-        FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
+        guard,
         LearningRateMonitor(),
         StepThroughput(lambda batch: getattr(batch, "num_images", 1), window_size=20),
         *([SkipOutliers()] if config.skip_outliers else []),
