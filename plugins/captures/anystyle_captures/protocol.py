@@ -31,12 +31,13 @@ from anystyle.pipeline.encode import encoder, scene_from_known
 from anystyle.pipeline.styles import slug
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
-from anystyle.types import Cameras, Comparison, OnProgress, Progress, Scene, Style, Views, no_progress
+from anystyle.types import Comparison, OnProgress, Progress, Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
 from anystyle_captures.camera_files.samples import write_wall
 from anystyle_captures.fit import STEREO_SIDE, Fit, QualityLevel, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
+from anystyle_captures.median_depth import median_depth
 from anystyle_captures.photometric import quality_of
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.structure_from_motion import StructureFromMotion
@@ -70,15 +71,15 @@ class Captures(Protocol):
     Cameras are estimated from all photographs; neither reconstruction sees the pixels of those held out. The backbone
     gets its own resolution and predicts cameras of its own, among which held-out views are placed by a similarity; the
     fit has the exposure of neighbouring views. ``matched_psnr`` is PSNR after an affine change of each view's colours.
-    CPU seconds of the cameras, of each reconstruction, of restyling it once and of the metrics are in the provenance,
+    CPU seconds of the cameras, of each reconstruction and of the metrics are in the provenance,
     under ``costs``; cameras and fits in the cache cost nothing.
 
     Metrics that are chosen judge all views of each capture, in each style: the ``photographs`` themselves, the
     ``unstyled`` fit, the photographs in the colours of the painting (``palette``), the fit ``stylized``, and the
     photographs painted one by one (``view_by_view``), with the cameras of the fit and the depth by stereo that it
-    begins with, where another photograph confirms it: behind a fit's surfaces there is a backdrop, which moves its
-    expected depth. ``photographs over KIND`` is the share of captures and styles in which they have the better score;
-    ``comparisons`` in the provenance has the numbers and names the lost ones.
+    begins with, where another photograph confirms it, and elsewhere the fit's median depth. ``photographs over KIND``
+    is the share of captures and styles in which they have the better score; ``comparisons`` in the provenance has the
+    numbers and names the lost ones.
 
     Args:
         stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
@@ -217,7 +218,6 @@ class Captures(Protocol):
             seconds = time.process_time() - start
             scores[kind] = self._quality(result.renders, photographs, measured)
             costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
-            costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
             if kind == "fit" and self.metrics:
                 start = time.process_time()
                 judged, styles, warned = self._stylized(views, points, result.scene, path.stem, folder)
@@ -308,7 +308,7 @@ class Captures(Protocol):
         stylizer, device, cameras = self.stylizer, self.stylizer.device, scene.cameras
         styles = [] if self.styles is None else [self.styles.read(index) for index in range(len(self.styles))]
         styles = styles or [Style(image=read_image(resolved(Path(PAINTING)))[None], names=(PAINTING,))]
-        views, depth = views.to(device), self._depth(views, cameras, points).to(device)
+        views, depth = views.to(device), self._depth(views, scene, points)
         photographs = views.images
         plain = stylizer.render(stylizer.unstyled(scene), cameras).color.detach()
         base = Comparison(photographs, photographs, None, cameras, depth, (name,))
@@ -344,21 +344,15 @@ class Captures(Protocol):
             }
         return scores, of_styles, list(warned)
 
-    def _depth(self, views: Views, cameras: Cameras, points: Sequence[Tensor] | None) -> Float[Tensor, "1 V H W"]:
-        """Depth by stereo, 0 where no other photograph confirms it."""
-        ratio = max(1.0, min(views.size) / STEREO_SIDE)
+    def _depth(self, views: Views, scene: Scene, points: Sequence[Tensor] | None) -> Float[Tensor, "1 V H W"]:
+        """Depth by stereo where another photograph confirms it, elsewhere of the fit; 0 where there is none."""
+        ratio, fitted = max(1.0, min(views.size) / STEREO_SIDE), self.stylizer.unstyled(scene)
         size = (round(views.size[0] / ratio), round(views.size[1] / ratio))
         small = interpolate(views.images[0].cpu(), size=size, mode="area")
-        stereo = plane_sweep(small, cameras.to("cpu").resized(size), points=points)
-        return interpolate(torch.where(stereo.support > 0, stereo.depth, 0)[None], views.size, mode="nearest-exact")
-
-    @torch.no_grad()
-    def _restyle_seconds(self, scene: Scene) -> float:
-        picture = torch.linspace(0, 1, 64).expand(1, 3, 64, 64) * torch.tensor([1.0, 0.6, 0.2]).view(1, 3, 1, 1)
-        embedding = self.stylizer.embed(image=picture.to(self.stylizer.device))
-        start = time.process_time()
-        Branch()(self.stylizer, scene, Style(), embedding)
-        return time.process_time() - start
+        stereo = plane_sweep(small, scene.cameras.to("cpu").resized(size), points=points)
+        known = torch.where((stereo.support > 0) & stereo.depth.isfinite(), stereo.depth, 0)[None]
+        known = interpolate(known, views.size, mode="nearest-exact").to(fitted.means)
+        return torch.where(known > 0, known, median_depth(fitted, scene.cameras, self.stylizer.renderer))
 
 
 def _mean(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
