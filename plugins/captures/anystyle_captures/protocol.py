@@ -46,7 +46,6 @@ from anystyle_methods.projection import stylized_views
 from anystyle_methods.scene_loop import color_map
 
 BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher"}
-KINDS = ("fit", "feedforward")
 COMPARED = (
     *(("photographs", kind) for kind in ("unstyled", "palette", "stylized", "view_by_view")),
     ("stylized", "view_by_view"),
@@ -215,9 +214,9 @@ class Captures(Protocol):
                 # A reconstruction that fails, for example with cameras that run the other way, is a result too.
                 scores[kind], costs[kind] = dict.fromkeys(self.better, nan), {"failed": str(error)}
                 continue
-            seconds = time.process_time() - start
+            spent = round(time.process_time() - start, 1)
             scores[kind] = self._quality(result.renders, photographs, measured)
-            costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
+            costs[kind] = {"cpu_seconds": spent, "num_gaussians": result.num_gaussians}
             if kind == "fit" and self.metrics:
                 start = time.process_time()
                 judged, styles, warned = self._stylized(views, points, result.scene, path.stem, folder)
