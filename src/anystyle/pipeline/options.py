@@ -119,11 +119,14 @@ class ExportOptions:
         up: Axes of the scene's files: ``opencv``, ``y`` or ``z`` up; ``None`` is what readers of each format expect,
             which for PLY is OpenCV's.
         formats: Further files of the scene, by plugins of kind ``format``.
+        renders: Whether the restyled views and a film are written; ``None`` is yes, but of a file of Gaussians only
+            where an option of ``video`` is given.
     """
 
     colmap: str = "none"
     up: str | None = None
     formats: list[str] = field(default_factory=list)
+    renders: bool | None = None
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))
