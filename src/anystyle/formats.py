@@ -10,7 +10,8 @@ from anystyle.contracts import Format
 from anystyle.io import ply
 from anystyle.types import Cameras, Gaussians, StyledScene
 
-_UP = {"opencv": (0.0, -1.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_UP = {"opencv": (0.0, -1.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0), "-z": (0.0, 0.0, -1.0)}
+_UP |= {"x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0)}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 

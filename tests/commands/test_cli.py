@@ -349,6 +349,7 @@ def test_workers_know_the_plugins_of_a_folder(tmp_path):
         (["--text", "a=b", "c=d"], [], ["a=b"], ["c=d"]),
         (["--text=a=b", "--demo", "c=d", "in"], ["in"], ["a=b"], ["c=d"]),
         (["--text", "-m x"], [], ["-m x"], []),
+        (["--text", "-z", "in"], ["in"], ["-z"], []),
         (["./a=b.jpg", "/a=b", "x"], ["./a=b.jpg", "/a=b", "x"], [], []),
         (["+new.key=1", "++x=2", "~loss", "~loss=style"], [], [], ["+new.key=1", "++x=2", "~loss", "~loss=style"]),
         (["hydra/launcher=joblib", "scenes@validation=x"], [], [], ["hydra/launcher=joblib", "scenes@validation=x"]),

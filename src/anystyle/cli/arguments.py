@@ -74,7 +74,11 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
         if flag in actions:
             ours.append(word)
             if not has_value and actions[flag].nargs != 0 and index < len(words):
-                ours.append(words[index])
+                value = words[index]
+                if flag.startswith("--") and value.startswith("-") and value.partition("=")[0] not in actions:
+                    ours[-1] = f"{word}={value}"  # otherwise argparse takes it for a flag
+                else:
+                    ours.append(value)
                 index += 1
         elif flag in HYDRA:
             follow = 0 if has_value else HYDRA[flag]

@@ -155,7 +155,7 @@ class StyledScene:
         names: Names of the cameras.
         notes: Lines on where the scene comes from, such as licences.
         title: To display.
-        up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
+        up: Axes of Gaussians and cameras' poses, one of :data:`anystyle.pipeline.options.AXES`.
         offset: What was taken off the positions of Gaussians and cameras, in these axes.
         pictures: Small images of styles that were given as one, by the titles of these.
         photographed: Whether cameras are those of photographs, and not chosen around a scene.
