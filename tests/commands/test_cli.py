@@ -105,6 +105,11 @@ MISTYPED = {
     "trainer.max_stepss=3": "'trainer.max_stepss': Key 'max_stepss' is no option of trainer. Did you mean 'max_steps'?",
     "loss.style.weigt=1": "'loss.style.weigt': Key 'weigt' is no option of loss. Did you mean 'weight'?",
     "vews.take=3": "'vews.take': Key 'vews' is unknown. Did you mean 'views'?",
+    "foo=3": "'foo': Key 'foo' is unknown. --cfg job shows all there are",
+    "seed=abc": "seed=abc: expected a number",
+    "trainer.max_steps=ten": "trainer.max_steps=ten: expected a number",
+    "injector=lora injector.rank=four": "injector.rank=four: expected a number",
+    "loss.style.weight=much": "loss.style.weight=much: expected a number",
     "-cd own styles=foldr": "'styles/foldr'. Did you mean 'folder'?",
     "hydra.searchpath=[file://own] styles=minee": "'styles/minee'. Did you mean 'mine'?",
 }

@@ -296,7 +296,7 @@ def test_copies_of_photographs_count_once(tmp_path, caplog):
 
 
 def test_of_one_format_content_tells_which_photographs_are_copies(tmp_path):
-    """Names that differ in their suffix alone are those of copies in other formats; of one format, of any two pictures."""
+    """Names that differ in their suffix alone are those of copies, unless the format is the same."""
     names = ("1.JPG", "1.jpg", "2.JPEG", "2.jpg", "3.tif", "3.TIFF", "4.JPG", "4.jpg", "4.png")
     for name, shade in zip(names, (20, 50, 80, 110, 140, 170, 200, 200, 20), strict=True):
         save(tmp_path / name, shade=shade)

@@ -24,6 +24,7 @@ UNREAD: Mapping[str, str] = {
     "*.psx": "a project of Metashape; File > Export > Export Cameras writes the XML that is read",
     "*.r[cs]proj": "a project of RealityScan; export a COLMAP model",
     "cameras*.csv": "a table of RealityScan; export a COLMAP model",
+    "*.xmp": "RealityScan's; export a COLMAP model",
     "*.sfm": "Meshroom's; aliceVision_exportColmap -i FILE.sfm -o colmap writes a COLMAP model",
     "sfm.json": "Meshroom's; aliceVision_exportColmap -i sfm.json -o colmap writes a COLMAP model",
     "sfm_data.[jb]*": "OpenMVG's; openMVG_main_openMVG2Colmap -i sfm_data.bin -o colmap writes a COLMAP model",
@@ -81,7 +82,9 @@ def unread(folders: Iterable[Path]) -> str | None:
             return f"there are cameras in {path}; poses=known poses_from={path} uses them"
     above = (place / name for each in given for place in (each, *each.parents[:2]) for name in ("", *_INSIDE))
     for each, (pattern, advice) in product(dict.fromkeys((*above, *inside)), UNREAD.items()):
-        if path := next(each.glob(pattern), None):
+        # Other programs' XMP files say how a photograph was developed.
+        files = (file for file in each.glob(pattern) if file.suffix != ".xmp" or b"capturingr" in file.read_bytes())
+        if path := next(files, None):
             return f"the cameras in {path} are not read: {advice}; poses=known poses_from=PATH reads the result"
     return None
 
