@@ -164,13 +164,8 @@ def test_command_is_understood(page, line):
         if rest:
             split(importlib.import_module(f"anystyle_benchmark.command_{rest[0]}").parser(), rest[1:])
         return
-    if command == "data":
-        assert rest[0] == "check"
-        parse(importlib.import_module("anystyle_datasets.command").parser(), rest[1:])
-        return
     if command == "report":
-        module = "command_verify" if rest[:1] == ["verify"] else "command"
-        parse(importlib.import_module(f"anystyle_paper.{module}").parser(), rest[module == "command_verify" :])
+        parse(importlib.import_module("anystyle_paper.command").parser(), rest)
         return
     module = importlib.import_module(f"anystyle.commands.{command}")
     if command in COMPOSED:

@@ -20,14 +20,6 @@ logger = logging.getLogger(__name__)
 DESCRIPTIONS = "wikiarts_descriptions.txt"
 TEST_FILES = "wikiarts_test_files.txt"
 PAINTINGS = frozenset({".jpg", ".jpeg", ".png"})
-MOVEMENTS = frozenset({
-    "Abstract_Expressionism", "Action_painting", "Analytical_Cubism", "Art_Nouveau", "Art_Nouveau_Modern", "Baroque",
-    "Color_Field_Painting", "Contemporary_Realism", "Cubism", "Early_Renaissance", "Expressionism", "Fauvism",
-    "High_Renaissance", "Impressionism", "Mannerism_Late_Renaissance", "Minimalism", "Naive_Art_Primitivism",
-    "New_Realism", "Northern_Renaissance", "Pointillism", "Pop_Art", "Post_Impressionism", "Realism", "Rococo",
-    "Romanticism", "Symbolism", "Synthetic_Cubism", "Ukiyo_e",
-})  # fmt: skip
-"""The folders of WikiArt."""
 
 
 class WikiArtStyles(StoredStyles):
@@ -43,7 +35,7 @@ class WikiArtStyles(StoredStyles):
         test_files: A file with one path below ``root`` a line; ``None`` takes ``wikiarts_test_files.txt`` in ``root``
             where there is one.
         exclude: Other files of that kind, for other test sets whose paintings no split has. A line without a folder
-            is a file name, wherever it lies. ``anystyle data check ROOT --against FOLDER --write FILE`` makes one.
+            is a file name, wherever it lies. :func:`~anystyle_datasets.duplicates.same_pictures` finds them.
         files: A file of that kind with the paintings to take; ``None`` takes all.
         split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` takes both.
         text_only: So many descriptions, from the first, are searched for styles without an image, as published; these

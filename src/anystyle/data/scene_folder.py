@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 
 class FolderScenes(StoredScenes):
-    """Folders of photographs: one scene per folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
+    """Folders of photographs: one scene per folder, or ``root`` itself; also ScanNet++ and LLFF captures.
 
     A scene's photographs lie in its folder or in its sub-folder ``images``, where there may be a folder for each camera
     of a rig, and are taken in natural order. Cameras come from what a plugin of kind ``cameras`` reads, such as
@@ -30,8 +30,8 @@ class FolderScenes(StoredScenes):
 
     Args:
         root: A folder.
-        images: Sub-folder with a scene's photographs, where there is one; DL3DV has several resolutions, ScanNet++
-            undistorted ones in ``dslr/resized_undistorted_images``.
+        images: Sub-folder with a scene's photographs, where there is one; ScanNet++ has undistorted ones in
+            ``dslr/resized_undistorted_images``.
         cameras: File with a scene's cameras, or folder of COLMAP's model, below the scene's folder, such as ScanNet++'s
             ``dslr/nerfstudio/transforms_undistorted.json``; ``None`` looks for one.
         index: A JSON list of scene folders below ``root``, such as DL3DV's ``train_index.json``; ``None`` takes all.
@@ -55,7 +55,7 @@ class FolderScenes(StoredScenes):
         if not self.root.is_dir():
             raise UserError(f"root={root}: there is no such folder of scenes")
         self.images, self.cameras, self.short_side, self.multiple = images, cameras, short_side, multiple
-        self.folders = self._folders(index)
+        self.folders = self.found() if index is None else self._listed(self.root / index)
         if not self.folders:
             raise UserError(f"root={root}: no scene lies there; expected folders with photographs")
         self._cache: LRUCache[int, Shots] = LRUCache(256)
@@ -87,9 +87,8 @@ class FolderScenes(StoredScenes):
             raise UserError(f"scene {scene}: there are {len(self.folders)}, counted from 0")
         return self.folders[scene]
 
-    def _folders(self, index: str | None) -> list[Path]:
-        if index is not None:
-            return self._listed(Path(index) if Path(index).is_absolute() else self.root / index)
+    def found(self) -> list[Path]:
+        """The folders of the scenes, where no index names them."""
         if self._photographs(self.root):
             return [self.root]
         inside = (path for path in self.root.iterdir() if path.is_dir() and not path.name.startswith("."))
