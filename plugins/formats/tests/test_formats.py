@@ -16,10 +16,10 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.ply import from_smallest_three
 from anystyle.pipeline.export import export_styles
-from anystyle.pipeline.options import AXES
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
+from anystyle.types.scene import AXES
 from anystyle.vision.weights import License, licenses
 from anystyle_formats.html import _packed
 from anystyle_formats.packing import codebook, smallest_three

@@ -17,9 +17,6 @@ from anystyle.registry.build import choice
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import check_fields
 
-AXES = ("opencv", "x", "-x", "y", "z", "-z")
-"""Axes, by the one that points up: ``opencv`` is -y, with x right and z forward. All are right-handed."""
-
 PATHS, MAX_FRAMES = ("smooth", "orbit"), 100_000
 """Of films."""
 
@@ -193,7 +190,7 @@ class VideoOptions:
 
 
 def named_axes(option: str, up: str | None) -> str | None:
-    """One of :data:`AXES`, or ``None``, for what an option says."""
+    """One of :data:`anystyle.types.scene.AXES`, or ``None``, for what an option says."""
     _expect(option, str(up), ("None", "opencv", "x", "-x", "y", "-y", "z", "-z"))
     return "opencv" if up == "-y" else up
 

@@ -135,9 +135,7 @@ def check_choices(words: Sequence[str]) -> None:
     """
     lines = "\n".join(words)
     own = [Path(each) for each in (*config_folders(words), *re.findall(r"file://([^,\]'\"\n]+)", lines))]
-    other = re.search(
-        r"^(-cp|-cn|-sc|--config-path|--config-name|--shell-)|^hydra.searchpath=.*pkg:", lines, re.MULTILINE
-    )
+    other = re.search(r"(?m)^(-cp|-cn|-sc|--config-path|--config-name|--shell-)|^hydra.searchpath=.*pkg:", lines)
     if other or not all(map(Path.is_dir, own)):
         return
     files = [file for folder in (paths.CONF, *preset_folders(), *own) for file in folder.rglob("*.yaml")]
@@ -160,7 +158,7 @@ def check_choices(words: Sequence[str]) -> None:
         if takes and asked and asked not in {*takes, *named}:
             near = did_you_mean(asked, takes) or f" There are: {', '.join(sorted(takes))}"
             raise UserError(f"Could not override '{key}': Key '{asked}' is no option of {first}.{near}")
-        is_number = re.search(rf"^{first}: [\d.]+$", roots, re.MULTILINE) if not inner else None
+        is_number = not inner and re.search(rf"(?m)^{first}: [\d.]+$", roots)
         if len(inner) == depth and asked in takes:
             is_number = {*re.findall(r"[A-Za-z]\w*", takes[asked])} <= _NUMERIC
         if is_number and _TEXT.fullmatch(value):
@@ -252,9 +250,8 @@ def _with_option(group: str, message: str) -> list[str]:
 
 def _message(error: BaseException) -> str:
     text = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
-    text = re.sub(
-        r"\. Did you mean: .*\?", "", one_line(text)
-    )  # OmegaConf 2.4 guesses too; :func:`_nearest` knows groups
+    # OmegaConf 2.4 guesses too; :func:`_nearest` knows groups.
+    text = re.sub(r"\. Did you mean: .*\?", "", one_line(text))
     return text.replace("is not in struct", "is unknown")
 
 
