@@ -78,6 +78,19 @@ def test_other_files_are_refused(tmp_path):
         Gaussians.load(tmp_path / "other.ply")
 
 
+def test_names_as_cloudcompare_writes_them_are_read_and_leave_with_new_colors(tmp_path):
+    gaussians = random_gaussians(count=5, coefficients=4)
+    gaussians.save(tmp_path / "scene.ply")
+    rows = PlyData.read(tmp_path / "scene.ply")["vertex"].data
+    rows.dtype.names = tuple(name if name[-1] in "xyz" else f"scalar_{name}" for name in rows.dtype.names)
+    PlyData([PlyElement.describe(rows, "vertex")]).write(tmp_path / "part.ply")
+    expected, found = (Gaussians.load(tmp_path / name) for name in ("scene.ply", "part.ply"))
+    for item in fields(found):
+        assert torch.equal(getattr(found, item.name), getattr(expected, item.name))
+    assert ply.recolor(tmp_path / "part.ply", torch.zeros(5, 1, 3), tmp_path / "painted.ply")
+    assert not Gaussians.load(tmp_path / "painted.ply").harmonics.any()
+
+
 def test_a_compressed_file_is_read_as_its_own_program_reads_it():
     """Both files are splat-transform's (3.7.0): 300 Gaussians of degree 2, and what it unpacks of them."""
     packed = Gaussians.load(GOLDENS / "splat_transform.compressed.ply")

@@ -229,16 +229,22 @@ def test_results_say_whether_cameras_are_those_of_photographs(tmp_path):
     assert read_saved(tmp_path / "stored").photographed
 
 
-def test_harmonics_that_are_dropped_are_told_once(tmp_path, caplog):
+def test_harmonics_that_are_dropped_are_told_once_and_pictures_are_made_where_they_are_asked_for(
+    tmp_path, caplog, capsys
+):
     glossy(degree=2).save(tmp_path / "scene.ply")
-    for keep in (False, True):
+    pictures = {"renders", "video.mp4"}
+    for keep, more in ((False, ()), (True, ("export.renders=true", "video.fps=36"))):
         caplog.clear()
-        words = ["views.short_side=28", "splat.cameras=2", "video.frames=2", f"method.keep_harmonics={keep}"]
+        words = ["views.short_side=28", "splat.cameras=6", f"method.keep_harmonics={keep}", *more]
         out = ["--text", "red dots", "--text", "blue", "--out", str(tmp_path / f"{keep}")]
         stylize.main([str(tmp_path / "scene.ply"), *out, *words])
         told = [line for line in caplog.messages if "harmonics" in line]
         line = "harmonics of degree 1 to 2 of the given scene are dropped; method.keep_harmonics=true keeps them"
         assert told == ([] if keep else [line])
+        made = {path.name for path in (tmp_path / f"{keep}" / "01-red-dots").iterdir()}
+        assert "sheet.png" in made and pictures & made == (pictures if keep else set())
+        assert ("sheet; export.renders=true adds renders and a film of 72 frames" in capsys.readouterr().err) != keep
 
 
 def test_cameras_that_see_nothing_are_told_or_refused(tmp_path, caplog):

@@ -29,6 +29,7 @@ from anystyle_captures.fit_loop import FitLoop, FitOptions, FitResult, InitialSc
 from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
+from anystyle_captures.photometric import unlike as differ
 from anystyle_captures.sky import without_sky
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.twins import groups, held_out
@@ -157,18 +158,22 @@ class Fit(Reconstruction):
                 keep=self.keep,
                 on_progress=on_progress,
             )
-        usual = float(result.unexplained.nanmedian())
+        usual, unlike = float(result.unexplained.nanmedian()), list[int]()
         if usual > MAX_UNEXPLAINED:
             logger.warning(
                 "the scene shows %.0f%% of the pixels of most photographs quite otherwise: something moved while they "
                 "were taken, or the light changed, and what moved is smeared",
                 100 * usual,
             )
-        elif unlike := unlike_most(result.unexplained, usual, views.names):
+        elif unlike := unlike_most(result.unexplained, usual):
+            names = (views.names[view] if views.names else f"number {view + 1}" for view in unlike)
+            shares = (
+                f"{name} ({100 * result.unexplained[view]:.0f}%)" for name, view in zip(names, unlike, strict=True)
+            )
             logger.warning(
-                "the scene differs in a large part of these photographs: %s. If something was moved before they were "
-                "taken, leave them out or mask it",
-                ", ".join(unlike),
+                "the scene differs in a large part of these photographs: %s. Styles are painted on the scene there; if "
+                "something was moved before they were taken, leave them out or mask it",
+                ", ".join(shares),
             )
         measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
         measures |= {"train_psnr": result.train_psnr, "unexplained": usual}
@@ -176,25 +181,33 @@ class Fit(Reconstruction):
         measures |= {name: value for name, value in found.items() if value}
         heldout = {} if result.heldout is None else result.heldout._asdict()
         measures |= {f"heldout_{name}": value for name, value in heldout.items()}
-        views = to_paint(views, result, renderer)
+        views = to_paint(views, result, renderer, unlike)
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
 
-def unlike_most(unexplained: Float[Tensor, " V"], usual: float, names: Sequence[str]) -> list[str]:
+def unlike_most(unexplained: Float[Tensor, " V"], usual: float) -> list[int]:
     """Photographs of which the scene shows much otherwise, and far more than the usual share, the worst first."""
     least = max(MAX_UNEXPLAINED_OF_ONE, FAR_MORE * usual)
-    worst = [int(view) for view in unexplained.argsort(descending=True) if unexplained[view] > least]
-    return [f"{names[view] if names else f'number {view + 1}'} ({100 * unexplained[view]:.0f}%)" for view in worst]
+    return [int(view) for view in unexplained.argsort(descending=True) if unexplained[view] > least]
 
 
 @torch.no_grad()
-def to_paint(views: Views, result: FitResult, renderer: Renderer) -> Views:
-    """Photographs to paint styles over: the fitted scene where they were ignored, no white that shines through."""
-    masks = Masks.of(views)
-    if masks is None or views.cameras is None:
+def to_paint(views: Views, result: FitResult, renderer: Renderer, unlike: Sequence[int] = ()) -> Views:
+    """Photographs to paint styles over: no white that shines through, and the fitted scene where they were ignored.
+
+    So it is where those named as ``unlike`` show something else than the scene, such as what was moved.
+    """
+    masks, images = Masks.of(views), views.images[0].clone()
+    if views.cameras is None:
         return views
-    shown = result.photographed(renderer, views.cameras, range(len(result.gains)), masked=True)
-    images = torch.where(masks.valid[:, None], masks.straight(views.images[0]), shown)
+    for view in range(len(images)) if masks is not None else unlike:
+        given = images[view]
+        shown = result.photographed(renderer, views.cameras, [view], masked=masks is not None)[0]
+        ignored = differ(shown[None], given[None])[0] if view in unlike else torch.zeros_like(given[0]).bool()
+        if masks is not None:
+            mine = masks.select([view])
+            given, ignored = mine.straight(given[None])[0], ignored | ~mine.valid[0]
+        images[view] = torch.where(ignored, shown, given)
     return replace(views, images=images[None])
 
 

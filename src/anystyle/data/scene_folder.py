@@ -113,15 +113,12 @@ class FolderScenes(StoredScenes):
         if not paths:
             raise UserError(f"there are no photographs in the scene {folder}")
         stored = read_poses(folder, paths, self.cameras)
-        if stored:
-            known = [path for path in paths if path in stored]
-            if len(known) < len(paths):
-                logger.warning("%d photographs of %s have no camera", len(paths) - len(known), folder)
-            paths = known
-        paths = readable(paths)
+        known = [path for path in paths if not stored or path in stored]
+        if len(known) < len(paths):
+            logger.warning("%d photographs of %s have no camera", len(paths) - len(known), folder)
+        paths = readable(known)
         if not paths:
             raise UserError(f"none of the photographs of the scene {folder} can be read")
-        sizes = [image_size(path) for path in paths]
-        size = common_size(sizes, short_side=self.short_side, multiple=self.multiple)
+        size = common_size([image_size(path) for path in paths], short_side=self.short_side, multiple=self.multiple)
         names = short_names([path.with_suffix("") for path in paths])
         return Shots(paths, names, [stored[path] for path in paths] if stored else [], size)

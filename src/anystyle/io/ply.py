@@ -25,6 +25,8 @@ CHUNK = 256
 _CONSTANT = 0.5 / sqrt(np.pi)
 """The constant spherical harmonic."""
 _RGB = ("red", "green", "blue")
+_SCALAR = "scalar_"
+"""What CloudCompare puts before the names of all properties but positions, normals and colours."""
 _HEADER = 1 << 16
 """Bytes that are searched for the end of a header."""
 ANTIALIASED = "SplatRenderMode: mip"
@@ -94,11 +96,14 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path, notes: 
     for axis, moved in zip("xyz", offset, strict=True):
         if moved:
             after[axis] -= moved
-    elements = [element for element in data.elements if element.name != "vertex"]
-    comments = data.comments if notes is None else _ascii(notes)
     with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text, comments=comments).write(temporary)
+        _with_vertices(data, after, data.comments if notes is None else _ascii(notes)).write(temporary)
     return True
+
+
+def _with_vertices(data: PlyData, rows: NDArray[Any], comments: Sequence[str]) -> PlyData:
+    others = [element for element in data.elements if element.name != "vertex"]
+    return PlyData([PlyElement.describe(rows, "vertex"), *others], text=data.text, comments=comments)
 
 
 def _ascii(notes: Sequence[str]) -> list[str]:
@@ -171,6 +176,10 @@ def _parsed(path: Path) -> PlyData:
             data = PlyData.read(stream)
         if "vertex" not in data:
             raise ValueError("it has no vertices")
+        rows = data["vertex"].data
+        if any(name.startswith(_SCALAR) for name in rows.dtype.names or ()):
+            rows.dtype.names = tuple(name.removeprefix(_SCALAR) for name in rows.dtype.names)
+            data = _with_vertices(data, rows, data.comments)
     except (PlyParseError, ValueError) as error:
         raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     return data

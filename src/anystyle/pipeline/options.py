@@ -116,11 +116,14 @@ class ExportOptions:
         up: The axis that points up in the scene's files: ``x``, ``-x``, ``y``, ``-y`` (or ``opencv``), ``z`` or ``-z``;
             ``None`` is what readers of each format expect, which for PLY is ``opencv``.
         formats: Further files of the scene, by plugins of kind ``format``.
+        renders: Whether the restyled views and a film are written; ``None`` is yes, but of a file of Gaussians only
+            where an option of ``video`` is given.
     """
 
     colmap: str = "none"
     up: str | None = None
     formats: list[str] = field(default_factory=list)
+    renders: bool | None = None
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))

@@ -20,12 +20,13 @@ from anystyle.geometry.transforms import Similarity
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
-from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
+from anystyle.io.sheet import Cell, save_png, shown, style_sheet, thumbnails, to_pil
 from anystyle.io.splats import NEAR, Offset
 from anystyle.paths import names_below
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.film import Film
-from anystyle.pipeline.request import PICTURE
+from anystyle.pipeline.options import VideoOptions
+from anystyle.pipeline.request import PICTURE, SavedScene
 from anystyle.pipeline.results import Result, Results, StylizeRun, pictures
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
@@ -128,8 +129,12 @@ class _ResultWriter:
     def __init__(self, run: StylizeRun, folder: Path, *, several: bool = False) -> None:
         self.run, self.encoded, self.folder = run, run.encoded, folder
         self.options, self.film = run.request.export, Film(run.request.video)
-        filmed = run.encoded.cameras if run.encoded.targets is None else run.encoded.targets[1]
-        self.line = f"scene, renders and a film {self.film.line(filmed)}"
+        self.filmed = run.encoded.targets or (run.encoded.names, run.encoded.cameras)
+        # A file of Gaussians is looked at where it comes from; pictures of it would take half of the time.
+        inputs, film = run.request.inputs, f"renders and a film {self.film.line(self.filmed[1])}"
+        given = isinstance(inputs, SavedScene) and inputs.path.is_file() and run.request.video == VideoOptions()
+        self.pictured = not given if self.options.renders is None else self.options.renders
+        self.line = f"scene, {film}" if self.pictured else f"scene and sheet; export.renders=true adds {film}"
         self.failures, self.stop = Failures(), Event()
         names = [name for name in self.options.formats if name != "ply"]
         self.formats: dict[str, type[Format]] = {name: catalog().find("format", name).load() for name in names}
@@ -140,10 +145,13 @@ class _ResultWriter:
         """Write a result into a folder of its own, and return the column of a sheet over several styles."""
         folder.mkdir(parents=True, exist_ok=True)
         self._write_scenes(result, folder)
-        renders = self._write_renders(
-            result, folder / "renders", self.encoded.names, result.cameras, self.encoded.sources
-        )
-        self._write_film(result, folder)
+        cameras, sources = result.cameras, self.encoded.sources
+        if self.pictured:
+            renders = self._write_renders(result, folder / "renders", self.encoded.names, cameras, sources)
+            self._write_film(result, folder)
+        else:
+            rows = shown(len(sources))
+            renders = _pictures_of(result.render(cameras.select(rows)), [sources[row] for row in rows])
         self._write_cameras(result, folder)
         column = (result.style.title, result.style.cell, thumbnails(renders))
         for picture in pictures([result.style]).values():
@@ -175,8 +183,7 @@ class _ResultWriter:
             self.failures.add(str(path.relative_to(self.folder)), error)
 
     def _write_film(self, result: Result, folder: Path) -> None:
-        encoded = self.encoded
-        names, cameras = encoded.targets or (encoded.names, result.cameras)
+        encoded, (names, cameras) = self.encoded, self.filmed
         if encoded.targets is not None:
             self._write_renders(result, folder / "targets", names, cameras)
         seen = encoded.photographed and encoded.targets is None
