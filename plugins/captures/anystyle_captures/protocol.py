@@ -164,8 +164,7 @@ class Captures(Protocol):
         kinds = dict.fromkeys(row.style for row in rows)
         groups = {kind: _mean([row.scores for row in rows if row.style == kind]) for kind in kinds}
         found = compared({name: record.get("styles", {}) for name, record in records.items()}, self.better)
-        for title, scores in found.items():
-            groups[title] = {score: one["won"] / one["cells"] for score, one in scores.items()}
+        groups |= {title: {name: one["won"] / one["cells"] for name, one in of.items()} for title, of in found.items()}
         for row in rows:
             scene = groups.setdefault(f"{SCENE}{row.scene}", {})
             scene |= {f"{row.style}_{score}": value for score, value in row.scores.items()}
@@ -205,7 +204,7 @@ class Captures(Protocol):
         photographs, masks = views.images[0, chosen], Masks.of(views)
         measured = None if masks is None else masks.select(chosen).measured
         scores: dict[str, Mapping[str, float]] = {}
-        styles, warned = dict[str, dict[str, Mapping[str, float]]](), list[str]()
+        styles, warned = dict[str, dict[str, dict[str, float]]](), list[str]()
         for kind, reconstruct in (("fit", self._fit), ("feedforward", self._feedforward)):
             start = time.process_time()
             try:
@@ -302,7 +301,7 @@ class Captures(Protocol):
 
     def _stylized(
         self, views: Views, points: Sequence[Tensor] | None, scene: Scene, name: str, folder: Path
-    ) -> tuple[dict[str, Mapping[str, float]], dict[str, dict[str, Mapping[str, float]]], list[str]]:
+    ) -> tuple[dict[str, Mapping[str, float]], dict[str, dict[str, dict[str, float]]], list[str]]:
         """Scores of each kind of images along depth by stereo, the same in each style, and warnings."""
         stylizer, device, cameras = self.stylizer, self.stylizer.device, scene.cameras
         styles = [] if self.styles is None else [self.styles.read(index) for index in range(len(self.styles))]
@@ -332,15 +331,13 @@ class Captures(Protocol):
             controls = {kind: [replace(row, content=plain) for row in of_kind] for kind, of_kind in rows.items()}
             sets += [(f"control_{kind}", self.control, of_kind) for kind, of_kind in controls.items()]
         scores, warned = dict[str, Mapping[str, float]](), dict[str, None]()
-        of_styles: dict[str, dict[str, Mapping[str, float]]] = {}
+        of_styles: dict[str, dict[str, dict[str, float]]] = {}
         for kind, metrics, of_kind in sets:
             judged = judge_scene(metrics, of_kind).values()
             scores[kind] = {score: value for one in judged for score, value in one.scores.items()}
             warned |= dict.fromkeys(f"{name}, {kind}: {text}" for one in judged for text in one.warned)
-            of_styles[kind] = {
-                style: {score: value for one in judged for score, value in one.styles[style].items()}
-                for style in dict.fromkeys(style for one in judged for style in one.styles)
-            }
+            for style, values in ((style, values) for one in judged for style, values in one.styles.items()):
+                of_styles.setdefault(kind, {}).setdefault(style, {}).update(values)
         return scores, of_styles, list(warned)
 
     def _depth(self, views: Views, scene: Scene, points: Sequence[Tensor] | None) -> Float[Tensor, "1 V H W"]:
