@@ -99,13 +99,13 @@ def test_a_file_in_other_axes_is_seen_upright_and_comes_back_in_ours(tmp_path):
     encoded = {}
     for up in ("opencv", "z"):
         export(glossy(), tmp_path / f"{up}.ply", "ply", up=up)
-        options = SplatOptions(cameras=2, up=None if up == "z" else up)
+        options = SplatOptions(cameras=2, up=None if up == "z" else "-y")
         encoded[up] = encoded_file(tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options)
     torch.testing.assert_close(encoded["z"].views.images, encoded["opencv"].views.images, rtol=0, atol=2e-3)
     torch.testing.assert_close(Restyler(encoded["z"], Branch()).unstyled.means, glossy().means, rtol=0, atol=1e-5)
     assert encoded["opencv"].splat is not None and encoded["z"].splat is None
-    with pytest.raises(ValueError, match="choose one of None, opencv, y, z"):
-        SplatOptions(up="x")
+    with pytest.raises(ValueError, match="choose one of None, opencv, x, -x, y, -y, z, -z"):
+        SplatOptions(up="w")
 
 
 def test_cameras_that_are_stored_see_what_they_saw(tmp_path):

@@ -234,7 +234,7 @@ def fit_photographs(
     points = None if points is None else [points[view] for view in order]
     masks = None if masks is None else masks.select(order)
     hidden = tuple(sorted(order.index(view) for view in heldout))
-    settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
+    settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple))}
     masked = () if masks is None else (masks.alpha, masks.valid)
     given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
     key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings, *masked)
