@@ -95,7 +95,7 @@ class Maker:
             inputs=inputs_of(files),
             styles=(style,),
             controls=(anystyle.Controls(strength=strength),),
-            overrides=(f"method={method}", *self.overrides, "export.formats=[html]"),
+            overrides=(f"method={method}", "export.renders=true", *self.overrides, "export.formats=[html]"),
         )
         described = title_of(style) if isinstance(style, Path) else style
         name = f"{slug(Path(files[0].removeprefix(PREFIX)).stem)}_{slug(described)}"

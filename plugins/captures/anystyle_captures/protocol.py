@@ -76,9 +76,8 @@ class Captures(Protocol):
     Metrics that are chosen judge all views of each capture, in each style: the ``photographs`` themselves, the
     ``unstyled`` fit, the photographs in the colours of the painting (``palette``), the fit ``stylized``, and the
     photographs painted one by one (``view_by_view``), with the cameras of the fit and the depth by stereo that it
-    begins with, where another photograph confirms it, and elsewhere the fit's median depth. ``photographs over KIND``
-    is the share of captures and styles in which they have the better score; ``comparisons`` in the provenance has the
-    numbers and names the lost ones.
+    begins with, where another photograph confirms it. ``photographs over KIND`` is the share of captures and styles in
+    which they have the better score; ``comparisons`` in the provenance has the numbers and names the lost ones.
 
     Args:
         stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
@@ -93,6 +92,8 @@ class Captures(Protocol):
         short_side: See ``num_gaussians``.
         holdout: Every ``holdout``-th view is held out.
         take: At most this many photographs, evenly spaced.
+        fill_depth: Whether metrics take the fit's median depth where stereo knows none. More pixels are compared, and
+            harder ones, so that scores with and without must not be.
         control: Metrics by which all of these are judged again, as ``control_photographs`` and so on, with the unstyled
             fit in place of the photographs.
         lpips_backbone: The network of LPIPS.
@@ -117,6 +118,7 @@ class Captures(Protocol):
         short_side: AtLeastOne | None = None,
         holdout: Count = 8,
         take: AtLeastOne = 48,
+        fill_depth: bool = False,
         control: Sequence[str] = (),
         lpips_backbone: Literal["alex", "vgg"] = "alex",
         weights: Weights = "auto",
@@ -125,7 +127,7 @@ class Captures(Protocol):
             raise UserError("protocol.captures is empty; name folders of photographs or videos")
         self.stylizer, self.captures, self.poses = stylizer, [expanded(path) for path in captures], poses
         self.fit = Fit(quality=quality, num_gaussians=num_gaussians, num_steps=num_steps, holdout=holdout)
-        self.short_side, self.take = short_side, take
+        self.short_side, self.take, self.fill_depth = short_side, take, fill_depth
         self.control = {name: one for name, one in (metrics or {}).items() if name in control}
         self.lpips = lpips.load(lpips_backbone, weights)
         self.method, self.metrics, self.styles = method or Branch(), metrics or {}, styles
@@ -341,13 +343,15 @@ class Captures(Protocol):
         return scores, of_styles, list(warned)
 
     def _depth(self, views: Views, scene: Scene, points: Sequence[Tensor] | None) -> Float[Tensor, "1 V H W"]:
-        """Depth by stereo where another photograph confirms it, elsewhere of the fit; 0 where there is none."""
+        """Depth by stereo where another photograph confirms it, elsewhere of the fit if asked for, or else 0."""
         ratio, fitted = max(1.0, min(views.size) / STEREO_SIDE), self.stylizer.unstyled(scene)
         size = (round(views.size[0] / ratio), round(views.size[1] / ratio))
         small = interpolate(views.images[0].cpu(), size=size, mode="area")
         stereo = plane_sweep(small, scene.cameras.to("cpu").resized(size), points=points)
         known = torch.where((stereo.support > 0) & stereo.depth.isfinite(), stereo.depth, 0)[None]
         known = interpolate(known, views.size, mode="nearest-exact").to(fitted.means)
+        if not self.fill_depth:
+            return known
         return torch.where(known > 0, known, median_depth(fitted, scene.cameras, self.stylizer.renderer))
 
 
