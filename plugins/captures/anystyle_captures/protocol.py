@@ -37,6 +37,7 @@ from anystyle_captures.camera_files.samples import write_wall
 from anystyle_captures.fit import STEREO_SIDE, Fit, QualityLevel, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import quality_of
+from anystyle_captures.poses import report
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from anystyle_captures.twins import groups, held_out
@@ -53,6 +54,7 @@ class _Result(NamedTuple):
     renders: Float[Tensor, "V 3 H W"]
     scene: Scene
     num_gaussians: int
+    refined: Mapping[str, float] = {}
 
 
 class Captures(Protocol):
@@ -192,7 +194,7 @@ class Captures(Protocol):
                 continue
             seconds = time.process_time() - start
             scores[kind] = self._quality(result.renders, photographs, measured)
-            costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
+            costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians, **result.refined}
             costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
             if kind == "fit" and self.metrics:
                 judged, warned = self._stylized(views, points, result.scene, path.stem, folder)
@@ -244,7 +246,7 @@ class Captures(Protocol):
         """Gaussians fitted to the other views; no step sees those held out."""
         views = views.to(self.stylizer.device)
         assert views.cameras is not None
-        count, options = self.fit.amounts(views.images.shape[1])
+        count, options = self.fit.amounts(views.images.shape[1], found=points is not None)
         masks = Masks.of(views)
         result = fit_photographs(
             views.images[0],
@@ -258,8 +260,11 @@ class Captures(Protocol):
         )
         with torch.no_grad():
             exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masks is not None)
+            refined = result.cameras(views.size)
+            measures = report(views.cameras, refined, result.aligned_psnr) if options.refine != "none" else {}
+            views = replace(views, cameras=refined)
             scene = scene_of_fit(views, encoder(self.stylizer)(views), result, self.stylizer.renderer)
-        return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1])
+        return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1], measures)
 
     @torch.no_grad()
     def _quality(

@@ -58,10 +58,9 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     page = next((path for path in pages if path.is_file()), target / "sheet.png")
     own = "".join(f"; each style has a {path.name} in its folder" for path in pages if not path.is_file())
     took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
-    held_out = {name: results.run.encoded.reconstruction.get(f"heldout_{name}psnr") for name in ("", "matched_")}
-    words = [
-        f"{value:.1f} dB{name and ' with colours matched'}" for name, value in held_out.items() if value is not None
-    ]
+    of_kind = {"": "", "aligned_": " with poses aligned", "matched_": " with colours matched"}
+    held_out = {word: results.run.encoded.reconstruction.get(f"heldout_{kind}psnr") for kind, word in of_kind.items()}
+    words = [f"{value:.1f} dB{word}" for word, value in held_out.items() if value is not None]
     quality = f"; PSNR of held-out photographs: {', '.join(words)}" if words else ""
     print(f"{scenes} in {target} in {took}{quality}; look at {page}{own}")
     if arguments.open:
