@@ -9,8 +9,9 @@ import torch
 from anystyle.contracts import Format
 from anystyle.io import ply
 from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle.types.scene import AXES
 
-_UP = {"opencv": (0.0, -1.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_UP = {name: tuple(0.0 - row[1] for row in rotation) for name, rotation in AXES.items()}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 

@@ -295,6 +295,16 @@ def test_copies_of_photographs_count_once(tmp_path, caplog):
     )
 
 
+def test_of_one_format_content_tells_which_photographs_are_copies(tmp_path):
+    """Names that differ in their suffix alone are those of copies, unless the format is the same."""
+    names = ("1.JPG", "1.jpg", "2.JPEG", "2.jpg", "3.tif", "3.TIFF", "4.JPG", "4.jpg", "4.png")
+    for name, shade in zip(names, (20, 50, 80, 110, 140, 170, 200, 200, 20), strict=True):
+        save(tmp_path / name, shade=shade)
+    views, sources = read(tmp_path)
+    assert [round(255 * float(view.mean()) / 10) * 10 for view in views.images[0]] == [20, 50, 80, 110, 140, 170, 200]
+    assert len({name.casefold() for name in views.names}) == len(sources) == 7
+
+
 def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
     for name in ("photos/a.png", "photos/b.png", "photos/@eaDir/a.png", "__MACOSX/photos/a.png", "sam_masks/a.png"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

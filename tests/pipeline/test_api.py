@@ -63,6 +63,30 @@ def test_a_film_that_is_not_needed_any_more_is_not_finished(photographs, stylize
     assert not (tmp_path / "out").exists()
 
 
+def test_styles_that_are_finished_stay_where_a_later_one_is_interrupted(
+    photographs, stylizer, tmp_path, monkeypatch, caplog
+):
+    styled, out = Restyler.__call__, tmp_path / "out"
+
+    def interrupted(self, style, on_progress):
+        if style.name == "rain":
+            raise KeyboardInterrupt
+        return styled(self, style, on_progress)
+
+    words, options = ["dots", "waves", "rain"], {"model": "tiny", "views": VIEWS, "video": VIDEO}
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Restyler, "__call__", interrupted)
+        anystyle.stylize(photographs, words, out=out, **options)
+    folders = sorted(path.name for path in out.iterdir() if path.is_dir())
+    assert folders in (["01-dots"], ["01-dots", "02-waves"])  # the film of the second may have been cut
+    assert len(json.loads((out / "report.json").read_text())["style"]) == len(folders)
+    assert f"{len(folders)} of 3 styles are in {out}; the same command makes all" in caplog.text
+    (rest,) = anystyle.stylize(out, "rain", model="tiny", out=tmp_path / "rest", video=VIDEO)
+    assert rest.encoded.reconstruction["kind"] == "given" and (tmp_path / "rest" / "scene.ply").is_file()
+    anystyle.stylize(photographs, words, out=out, **options)
+    assert sorted(path.name for path in out.iterdir() if path.is_dir()) == ["01-dots", "02-waves", "03-rain"]
+
+
 def test_the_call_and_a_report_make_what_the_command_made(photographs, tmp_path, monkeypatch):
     monkeypatch.chdir(photographs.parent)  # a report names no folders above what it was given
     words = "--text dots --strength 0.5 views.short_side=56 views.take=2 video.frames=2 video.scale=0.5 seed=7"

@@ -99,13 +99,13 @@ def test_a_file_in_other_axes_is_seen_upright_and_comes_back_in_ours(tmp_path):
     encoded = {}
     for up in ("opencv", "z"):
         export(glossy(), tmp_path / f"{up}.ply", "ply", up=up)
-        options = SplatOptions(cameras=2, up=None if up == "z" else up)
+        options = SplatOptions(cameras=2, up=None if up == "z" else "-y")
         encoded[up] = encoded_file(tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options)
     torch.testing.assert_close(encoded["z"].views.images, encoded["opencv"].views.images, rtol=0, atol=2e-3)
     torch.testing.assert_close(Restyler(encoded["z"], Branch()).unstyled.means, glossy().means, rtol=0, atol=1e-5)
     assert encoded["opencv"].splat is not None and encoded["z"].splat is None
-    with pytest.raises(ValueError, match="choose one of None, opencv, y, z"):
-        SplatOptions(up="x")
+    with pytest.raises(ValueError, match="choose one of None, opencv, x, -x, y, -y, z, -z"):
+        SplatOptions(up="w")
 
 
 def test_cameras_that_are_stored_see_what_they_saw(tmp_path):
@@ -229,16 +229,22 @@ def test_results_say_whether_cameras_are_those_of_photographs(tmp_path):
     assert read_saved(tmp_path / "stored").photographed
 
 
-def test_harmonics_that_are_dropped_are_told_once(tmp_path, caplog):
+def test_harmonics_that_are_dropped_are_told_once_and_pictures_are_made_where_they_are_asked_for(
+    tmp_path, caplog, capsys
+):
     glossy(degree=2).save(tmp_path / "scene.ply")
-    for keep in (False, True):
+    pictures = {"renders", "video.mp4"}
+    for keep, more in ((False, ()), (True, ("export.renders=true", "video.fps=36"))):
         caplog.clear()
-        words = ["views.short_side=28", "splat.cameras=2", "video.frames=2", f"method.keep_harmonics={keep}"]
+        words = ["views.short_side=28", "splat.cameras=6", f"method.keep_harmonics={keep}", *more]
         out = ["--text", "red dots", "--text", "blue", "--out", str(tmp_path / f"{keep}")]
         stylize.main([str(tmp_path / "scene.ply"), *out, *words])
         told = [line for line in caplog.messages if "harmonics" in line]
         line = "harmonics of degree 1 to 2 of the given scene are dropped; method.keep_harmonics=true keeps them"
         assert told == ([] if keep else [line])
+        made = {path.name for path in (tmp_path / f"{keep}" / "01-red-dots").iterdir()}
+        assert "sheet.png" in made and pictures & made == (pictures if keep else set())
+        assert ("sheet; export.renders=true adds renders and a film of 72 frames" in capsys.readouterr().err) != keep
 
 
 def test_cameras_that_see_nothing_are_told_or_refused(tmp_path, caplog):

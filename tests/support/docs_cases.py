@@ -103,7 +103,6 @@ NOT_RUN = {
     r"make (demo|setup|lint|notebooks|test|test-smoke|test-slow|format lint)$": "sets up an environment from a network",
     r"anystyle (app|view( \S+)?$)": "serves until it is interrupted; tests of these plugins look at the pages",
     r"anystyle (evaluate -m model=anystyle_head,styl3r|stylize .*model=styl)": "needs published weights",
-    r"python -m tests\.benchmarks\.published head CHECKOUT": "minutes, and a checkout of the published code",
     r"python -m tests\.benchmarks\.": "minutes, and pictures that do not travel with the project",
     r"ssh ": "needs another machine",
     r"make benchmark-methods ": "sets up an environment from a network; benchmark/tests judge a method beside others",

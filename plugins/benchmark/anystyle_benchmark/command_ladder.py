@@ -16,7 +16,7 @@ from anystyle.io.documents import as_number, kept_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress
 from anystyle_benchmark.command_judge import add_processes, processes_of
-from anystyle_benchmark.distortions import DISTORTIONS, Shot
+from anystyle_benchmark.distortions import DISTORTIONS, RANDOM, Shot
 from anystyle_benchmark.judge import Judge
 from anystyle_benchmark.ladder import BLIND, LADDER, STEPS, UNDISTORTED, Verdict, judged, rung
 from anystyle_benchmark.ours import stylized
@@ -40,6 +40,7 @@ def parser() -> argparse.ArgumentParser:
     add("--method", default="branch", metavar="NAME", help="a preset that leaves a splat (default %(default)s)")
     for name, what in (("scenes", "all"), ("styles", "all images"), ("distortions", "all"), ("metrics", "all")):
         add(f"--{name}", default="", metavar="A,B", help=f"only these (default: {what})")
+    add("--seeds", type=int, default=1, metavar="N", help="of random distortions, 0 to N - 1 (default %(default)s)")
     add_processes(flags)
     return flags
 
@@ -58,7 +59,7 @@ def main(args: Sequence[str]) -> None:
     if strange := [name for name in names if name not in DISTORTIONS]:
         raise UserError(unknown("distortion", strange[0], DISTORTIONS))
     judge = Judge(inputs, root, _words(arguments.metrics), processes=processes_of(arguments))
-    lock, specs = bind(inputs, root), rungs(spec, names, {style.guide for style in styles})
+    lock, specs = bind(inputs, root), rungs(spec, names, {style.guide for style in styles}, arguments.seeds)
     for one in specs:
         kept = kept_json(root / one.name / "method.json", Spec)
         if kept is not None and kept.preset != one.preset:
@@ -66,7 +67,7 @@ def main(args: Sequence[str]) -> None:
         write_json(root / one.name / "method.json", msgspec.to_builtins(one))
     on_progress = progress_lines()
     for scene in scenes:
-        render(inputs, spec, names, scene, styles, root, on_progress)
+        render(inputs, spec, names, scene, styles, root, arguments.seeds, on_progress)
     figures = judge(specs, lock, on_progress)
     write_json(root / FIGURES, msgspec.to_builtins(figures))
     verdicts = judged(figures, names)
@@ -78,7 +79,7 @@ def main(args: Sequence[str]) -> None:
     print(f"{listed.markdown()}\nin {root}: {LADDER}, ladder.md, ladder.csv")
 
 
-def rungs(spec: Spec, names: Sequence[str], guides: set[str]) -> list[Spec]:
+def rungs(spec: Spec, names: Sequence[str], guides: set[str], seeds: int = 1) -> list[Spec]:
     """A method for each rung of each distortion, after that of none at all."""
     common = {"guides": tuple(sorted(guides)), "baseline": True, "preset": spec.preset}
     found = [Spec(UNDISTORTED, f"{spec.title}, as it is", f"The lowest rung of every ladder. {spec.about}", **common)]
@@ -86,7 +87,8 @@ def rungs(spec: Spec, names: Sequence[str], guides: set[str]) -> list[Spec]:
         one = DISTORTIONS[name]
         for index, strength in enumerate(one.strengths, 1):
             title = f"{one.title}, {strength:g}"
-            found.append(Spec(rung(name, index), title, f"{strength:g} {one.unit}.", **common))
+            drawn = seeds if name in RANDOM else 1
+            found.append(Spec(rung(name, index), title, f"{strength:g} {one.unit}.", seeds=drawn, **common))
     return found
 
 
@@ -97,13 +99,19 @@ def render(
     scene: SceneEntry,
     styles: Sequence[StyleEntry],
     root: Path,
+    seeds: int,
     on_progress: OnProgress,
 ) -> None:
     """Write the views of a scene on every rung, in those styles in which one is missing."""
-    steps = [(UNDISTORTED, None, 0.0)]
-    steps += [(rung(n, i), DISTORTIONS[n], s) for n in names for i, s in enumerate(DISTORTIONS[n].strengths, 1)]
+    steps = [(UNDISTORTED, 0, None, 0.0)]
+    steps += [
+        (rung(name, index), seed, DISTORTIONS[name], strength)
+        for name in names
+        for index, strength in enumerate(DISTORTIONS[name].strengths, 1)
+        for seed in range(seeds if name in RANDOM else 1)
+    ]
     missing = {
-        style.name: [step for step in steps if not is_done(Cell(step[0], 0, scene.name, style.name), root)]
+        style.name: [step for step in steps if not is_done(Cell(*step[:2], scene.name, style.name), root)]
         for style in styles
     }
     wanted = [style for style in styles if missing[style.name]]
@@ -116,10 +124,10 @@ def render(
         return torch.stack(list(results.encoded.render(gaussians, cameras)))
 
     for done, (style, result) in enumerate(zip(wanted, results, strict=True), 1):
-        shot = Shot(result.gaussians, results.run.unstyled, cameras, views)
-        for name, distortion, strength in missing[style.name]:
-            cell = Cell(name, 0, scene.name, style.name)
-            images = shot.views if distortion is None else distortion.apply(shot, strength)
+        shots = [Shot(result.gaussians, results.run.unstyled, cameras, views, seed) for seed in range(seeds)]
+        for name, seed, distortion, strength in missing[style.name]:
+            cell = Cell(name, seed, scene.name, style.name)
+            images = shots[0].views if distortion is None else distortion.apply(shots[seed], strength)
             with atomic_directory(cell.images(root)) as folder:
                 for view, image in zip(scene.views, images, strict=True):
                     save_png(to_pil(image), folder / f"{view}.png")

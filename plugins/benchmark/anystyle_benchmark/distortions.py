@@ -36,12 +36,14 @@ class Shot:
         unstyled: The same scene without the style.
         cameras: Cameras of the judged views, of one scene.
         render: Gives views V 3 H W, sRGB in [0, 1].
+        seed: Of what is random in a distortion.
     """
 
     gaussians: Gaussians
     unstyled: Gaussians
     cameras: Cameras
     render: Callable[[Gaussians, Cameras], Tensor]
+    seed: int = 0
 
     @cached_property
     def views(self) -> Float[Tensor, "V 3 H W"]:
@@ -175,16 +177,20 @@ def faded(shot: Shot, share: float) -> Float[Tensor, "V 3 H W"]:
     return torch.lerp(shot.views, shot.unstyled_views, share)
 
 
-def _splat(change: Callable[[Gaussians, Cameras, float], Gaussians]) -> Callable[[Shot, float], Tensor]:
-    return lambda shot, strength: shot.render(change(shot.gaussians, shot.cameras, strength), shot.cameras)
+def _splat(change: Callable[..., Gaussians]) -> Callable[[Shot, float], Tensor]:
+    return lambda shot, by: shot.render(change(shot.gaussians, shot.cameras, by, seed=shot.seed), shot.cameras)
 
 
 def _renders(change: Callable[[Tensor, float], Tensor]) -> Callable[[Shot, float], Tensor]:
     return lambda shot, strength: change(shot.views, strength)
 
 
+def _noise(change: Callable[..., Tensor], **options: bool) -> Callable[[Shot, float], Tensor]:
+    return lambda shot, strength: change(shot.views, strength, seed=shot.seed, **options)
+
+
 def _cameras(shot: Shot, strength: float) -> Tensor:
-    return shot.render(shot.gaussians, misplaced(shot.cameras, shot.gaussians, strength))
+    return shot.render(shot.gaussians, misplaced(shot.cameras, shot.gaussians, strength, seed=shot.seed))
 
 
 SIDE = "of the shorter side"
@@ -192,11 +198,11 @@ DISTORTIONS: Mapping[str, Distortion] = MappingProxyType(
     {
         "splat_blur": Distortion(
             *("splat: blur", "added to the scales of all Gaussians, relative"),
-            *((0.1, 0.25, 0.5, 1.0), _splat(lambda splat, _, factor: grown(splat, factor))),
+            *((0.1, 0.25, 0.5, 1.0), _splat(lambda splat, _, factor, **__: grown(splat, factor))),
         ),
         "splat_noise": Distortion(
             *("splat: noise", "SD of Gaussians' colours in [0, 1]"),
-            *((0.04, 0.1, 0.2, 0.4), _splat(lambda splat, _, deviation: recolored(splat, deviation))),
+            *((0.04, 0.1, 0.2, 0.4), _splat(lambda splat, _, *deviation, **seed: recolored(splat, *deviation, **seed))),
         ),
         "splat_jitter": Distortion(
             "splat: jitter", f"SD of centres, {SIDE}", (0.002, 0.005, 0.012, 0.03), _splat(moved)
@@ -205,20 +211,20 @@ DISTORTIONS: Mapping[str, Distortion] = MappingProxyType(
         "fade": Distortion("splat: less style", "of the unstyled scene", (0.25, 0.5, 0.75, 1.0), faded),
         "cameras": Distortion("cameras: wrong", SIDE, (0.002, 0.006, 0.018, 0.05), _cameras),
         "view_blur": Distortion("views: blur", f"SD, {SIDE}", (0.002, 0.005, 0.01, 0.02), _renders(blurred)),
-        "view_noise": Distortion("views: noise", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2), _renders(noisy)),
+        "view_noise": Distortion("views: noise", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2), _noise(noisy)),
         "sliding": Distortion(
-            *("views: sliding texture", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2)),
-            _renders(lambda views, deviation: textured(views, deviation, each=False)),
+            "views: sliding texture", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2), _noise(textured, each=False)
         ),
         "own_texture": Distortion(
-            *("views: texture of their own", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2)),
-            _renders(lambda views, deviation: textured(views, deviation, each=True)),
+            "views: texture of their own", "SD, colours in [0, 1]", (0.02, 0.05, 0.1, 0.2), _noise(textured, each=True)
         ),
         "cast": Distortion("views: colour cast", "gain of green", (0.03, 0.07, 0.15, 0.3), _renders(tinted)),
-        "flicker": Distortion("views: flicker", "SD of log gains", (0.03, 0.07, 0.15, 0.3), _renders(flickering)),
+        "flicker": Distortion("views: flicker", "SD of log gains", (0.03, 0.07, 0.15, 0.3), _noise(flickering)),
     }
 )
 """All ladders by name. Strengths were chosen by eye, before any metric was computed: the first is hardly seen."""
+RANDOM = ("splat_noise", "splat_jitter", "floaters", "cameras", "view_noise", "sliding", "own_texture", "flicker")
+"""Those that differ between seeds."""
 
 
 def _normal(shape: tuple[int, ...], seed: int) -> Tensor:

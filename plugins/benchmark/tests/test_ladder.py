@@ -25,7 +25,7 @@ from anystyle.types import Cameras, Gaussians
 from anystyle_benchmark import distortions, ladder
 from anystyle_benchmark import judge as judging
 from anystyle_benchmark.command_ladder import main, rungs
-from anystyle_benchmark.distortions import DISTORTIONS, Shot
+from anystyle_benchmark.distortions import DISTORTIONS, RANDOM, Shot
 from anystyle_benchmark.ladder import LADDER, STEPS, Verdict, expectations, rung, verdict
 from anystyle_benchmark.results import Cell, Interval, Record
 from anystyle_benchmark.spec import read_spec
@@ -75,6 +75,8 @@ def test_strength_0_is_the_identity_and_each_rung_is_further_away(shot, name):
     gaps = [float((row - shot.views).abs().mean()) for row in rows]
     assert 0 < gaps[0] < gaps[1] < gaps[2] < gaps[3]
     assert torch.equal(one.apply(shot, one.strengths[1]), rows[1])  # nothing is drawn anew
+    drawn = one.apply(dataclasses.replace(shot, seed=1), one.strengths[1])
+    assert torch.equal(drawn, rows[1]) == (name not in RANDOM)
 
 
 def test_blur_is_that_of_scipy(shot):
@@ -267,7 +269,8 @@ def made_rungs(tmp_path_factory):
                     write_json(cell.record(results), msgspec.to_builtins(Record("done")))
     words = [str(results), "--track", str(track), "--distortions", ",".join(functions), "--processes", "1"]
     main(words)
-    assert [one.name for one in rungs(spec, [*functions], {"image"})][:2] == ["undistorted", "view_blur-1"]
+    made = rungs(spec, [*functions], {"image"}, seeds=3)
+    assert [(one.name, one.seeds) for one in made[:6:5]] == [("undistorted", 1), ("view_noise-1", 3)]
     return track, results, words
 
 

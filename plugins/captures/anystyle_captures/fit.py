@@ -29,6 +29,7 @@ from anystyle_captures.fit_loop import FitLoop, FitOptions, FitResult, InitialSc
 from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
+from anystyle_captures.photometric import unlike as differ
 from anystyle_captures.poses import report
 from anystyle_captures.sky import without_sky
 from anystyle_captures.stereo import plane_sweep
@@ -65,7 +66,7 @@ MAX_UNEXPLAINED_OF_ONE, FAR_MORE = 0.05, 5
 """The same fraction of single photographs, and its ratio to the median: a photograph of an object that had been turned
 over has 0.07, one of nothing but leaves 0.09, and others have at most 0.035."""
 
-Refine = Literal["auto", "none", "poses", "lenses"]
+Refine = Literal["none", "poses", "lenses"]
 QualityLevel = Literal["draft", "good", "best", "full"]
 
 
@@ -81,8 +82,7 @@ class Fit(Reconstruction):
         holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it,
             together with those that show the same; the final steps see all views. Fewer views are not held out; 0 holds
             out none.
-        refine: Which cameras the fit refines: ``poses``, or ``lenses`` (focal lengths, too), or ``none``; ``auto`` is
-            ``poses`` for cameras that structure from motion has not just found, which has nothing to gain.
+        refine: Whether the fit refines cameras that are not exact: ``poses``, or ``lenses`` (focal lengths, too).
         state: A file to write the fit to as it goes, and to resume it from.
         keep: Whether the fitted scene is cached, and read from the cache when the same photographs are fitted again
             with the same options.
@@ -99,7 +99,7 @@ class Fit(Reconstruction):
         num_steps: AtLeastOne | None = None,
         degree: Count = 0,
         holdout: Count = 8,
-        refine: Refine = "auto",
+        refine: Refine = "none",
         state: str | None = None,
         keep: bool = True,
         seed: int = 0,
@@ -111,22 +111,22 @@ class Fit(Reconstruction):
         self.holdout, self.refine, self.keep = holdout, refine, keep
         self.state = None if state is None else expanded(state)
 
-    def amounts(self, num_views: int, *, found: bool) -> tuple[int, FitOptions]:
-        """The number of Gaussians at the start, and the options, for so many views, with cameras just found or not."""
+    def amounts(self, num_views: int) -> tuple[int, FitOptions]:
+        """The number of Gaussians at the start, and the options, for so many views."""
         preset, growth = self.preset.options, max(1.0, num_views / MANY)
         options = replace(
             preset,
             num_steps=self.num_steps or round(preset.num_steps * growth),
             final_steps=preset.final_steps if self.num_steps else round(preset.final_steps * growth),
             degree=self.degree,
-            refine=("none" if found else "poses") if self.refine == "auto" else self.refine,
+            refine=self.refine,
             seed=self.seed,
         )
         return self.num_gaussians or round(self.preset.num_gaussians * growth), options
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        return {"quality": "draft", "num_gaussians": 150, "num_steps": 5, "holdout": 0, "refine": "none", "keep": False}
+        return {"quality": "draft", "num_gaussians": 150, "num_steps": 5, "holdout": 0, "keep": False}
 
     def __call__(
         self,
@@ -143,8 +143,7 @@ class Fit(Reconstruction):
                 f"a fit takes one scene with known cameras, and there are {views.images.shape[0]} scenes "
                 f"{'with' if views.cameras else 'without'} them; poses=sfm finds cameras"
             )
-        # Sparse points come with the cameras of structure from motion alone.
-        num_gaussians, options = self.amounts(views.images.shape[1], found=points is not None)
+        num_gaussians, options = self.amounts(views.images.shape[1])
         parameters = num_gaussians * (11 + 3 * (self.degree + 1) ** 2)
         # Each with its gradient and the optimiser's two moments.
         require(4 * 4 * parameters, f"{num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
@@ -164,18 +163,22 @@ class Fit(Reconstruction):
                 keep=self.keep,
                 on_progress=on_progress,
             )
-        usual = float(result.unexplained.nanmedian())
+        usual, unlike = float(result.unexplained.nanmedian()), list[int]()
         if usual > MAX_UNEXPLAINED:
             logger.warning(
                 "the scene shows %.0f%% of the pixels of most photographs quite otherwise: something moved while they "
                 "were taken, or the light changed, and what moved is smeared",
                 100 * usual,
             )
-        elif unlike := unlike_most(result.unexplained, usual, views.names):
+        elif unlike := unlike_most(result.unexplained, usual):
+            names = (views.names[view] if views.names else f"number {view + 1}" for view in unlike)
+            shares = (
+                f"{name} ({100 * result.unexplained[view]:.0f}%)" for name, view in zip(names, unlike, strict=True)
+            )
             logger.warning(
-                "the scene differs in a large part of these photographs: %s. If something was moved before they were "
-                "taken, leave them out or mask it",
-                ", ".join(unlike),
+                "the scene differs in a large part of these photographs: %s. Styles are painted on the scene there; if "
+                "something was moved before they were taken, leave them out or mask it",
+                ", ".join(shares),
             )
         measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
         measures |= {"train_psnr": result.train_psnr, "unexplained": usual}
@@ -187,25 +190,33 @@ class Fit(Reconstruction):
             measures |= report(views.cameras, refined, result.aligned_psnr)
             views = replace(views, cameras=refined)
         measures |= {f"heldout_{name}": value for name, value in heldout.items()}
-        views = to_paint(views, result, renderer)
+        views = to_paint(views, result, renderer, unlike)
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
 
-def unlike_most(unexplained: Float[Tensor, " V"], usual: float, names: Sequence[str]) -> list[str]:
+def unlike_most(unexplained: Float[Tensor, " V"], usual: float) -> list[int]:
     """Photographs of which the scene shows much otherwise, and far more than the usual share, the worst first."""
     least = max(MAX_UNEXPLAINED_OF_ONE, FAR_MORE * usual)
-    worst = [int(view) for view in unexplained.argsort(descending=True) if unexplained[view] > least]
-    return [f"{names[view] if names else f'number {view + 1}'} ({100 * unexplained[view]:.0f}%)" for view in worst]
+    return [int(view) for view in unexplained.argsort(descending=True) if unexplained[view] > least]
 
 
 @torch.no_grad()
-def to_paint(views: Views, result: FitResult, renderer: Renderer) -> Views:
-    """Photographs to paint styles over: the fitted scene where they were ignored, no white that shines through."""
-    masks = Masks.of(views)
-    if masks is None or views.cameras is None:
+def to_paint(views: Views, result: FitResult, renderer: Renderer, unlike: Sequence[int] = ()) -> Views:
+    """Photographs to paint styles over: no white that shines through, and the fitted scene where they were ignored.
+
+    So it is where those named as ``unlike`` show something else than the scene, such as what was moved.
+    """
+    masks, images = Masks.of(views), views.images[0].clone()
+    if views.cameras is None:
         return views
-    shown = result.photographed(renderer, views.cameras, range(len(result.gains)), masked=True)
-    images = torch.where(masks.valid[:, None], masks.straight(views.images[0]), shown)
+    for view in range(len(images)) if masks is not None else unlike:
+        given = images[view]
+        shown = result.photographed(renderer, views.cameras, [view], masked=masks is not None)[0]
+        ignored = differ(shown[None], given[None])[0] if view in unlike else torch.zeros_like(given[0]).bool()
+        if masks is not None:
+            mine = masks.select([view])
+            given, ignored = mine.straight(given[None])[0], ignored | ~mine.valid[0]
+        images[view] = torch.where(ignored, shown, given)
     return replace(views, images=images[None])
 
 
@@ -232,7 +243,7 @@ def fit_photographs(
     points = None if points is None else [points[view] for view in order]
     masks = None if masks is None else masks.select(order)
     hidden = tuple(sorted(order.index(view) for view in heldout))
-    settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
+    settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple))}
     masked = () if masks is None else (masks.alpha, masks.valid)
     given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
     key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings, *masked)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.nn.functional import avg_pool2d, conv2d
+from torch.nn.functional import avg_pool2d, conv2d, max_pool2d
 
 from anystyle import compiled as compilation
 
@@ -85,11 +85,20 @@ def unexplained(
 
     Windows span 1/24 of the shorter side, so that a sharp edge that is slightly off does not count.
     """
-    side = max(3, min(images.shape[-2:]) // 24) | 1
     error = (images - targets).abs().mean(1, keepdim=True)
     measured = torch.ones_like(error, dtype=torch.bool) if measured is None else measured[:, None]
-    large = avg_pool2d(error * measured, side, 1, side // 2) > LARGE
+    large = avg_pool2d(error * measured, side := _window(images), 1, side // 2) > LARGE
     return (large & measured).sum((1, 2, 3)) / measured.sum((1, 2, 3)).clamp_min(1)
+
+
+def unlike(images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"]) -> Bool[Tensor, "M H W"]:
+    """The pixels of whole windows around which pairs differ so, which hold what differs to its border."""
+    error = avg_pool2d((images - targets).abs().mean(1), side := _window(images), 1, side // 2)
+    return max_pool2d((error > LARGE).float(), side, 1, side // 2) > 0
+
+
+def _window(images: Float[Tensor, "M 3 H W"]) -> int:
+    return max(3, min(images.shape[-2:]) // 24) | 1
 
 
 class _Dissimilarity(torch.autograd.Function):

@@ -3,7 +3,8 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import nan
+from itertools import product
+from math import isnan, nan
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -36,14 +37,22 @@ from anystyle.vision.weights import Weights, stand_ins
 from anystyle_captures.camera_files.samples import write_wall
 from anystyle_captures.fit import STEREO_SIDE, Fit, QualityLevel, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
+from anystyle_captures.median_depth import median_depth
 from anystyle_captures.photometric import quality_of
 from anystyle_captures.poses import report
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from anystyle_captures.twins import groups, held_out
+from anystyle_methods.projection import stylized_views
+from anystyle_methods.scene_loop import color_map
 
 BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher"}
-KINDS = ("fit", "feedforward")
+COMPARED = (
+    *(("photographs", kind) for kind in ("unstyled", "palette", "stylized", "view_by_view")),
+    ("stylized", "view_by_view"),
+    *(("control_photographs", f"control_{kind}") for kind in ("palette", "stylized", "view_by_view")),
+)
+"""Which kinds of images are compared, the one that should have the better scores first."""
 PAINTING = "example:wave"
 """The style in which metrics judge fitted scenes where none is configured."""
 
@@ -63,11 +72,15 @@ class Captures(Protocol):
     Cameras are estimated from all photographs; neither reconstruction sees the pixels of those held out. The backbone
     gets its own resolution and predicts cameras of its own, among which held-out views are placed by a similarity; the
     fit has the exposure of neighbouring views. ``matched_psnr`` is PSNR after an affine change of each view's colours.
-    CPU seconds of the cameras, of each reconstruction and of restyling it once are in the provenance, under ``costs``.
+    CPU seconds of the cameras, of each reconstruction and of the metrics are in the provenance,
+    under ``costs``; cameras and fits in the cache cost nothing.
 
-    Metrics that are chosen judge all views of each capture: the ``photographs`` themselves, the ``unstyled`` fit, and
-    the fit ``stylized`` in each style, with the cameras of the fit and the depth by stereo that it begins with, where
-    another photograph confirms it: behind a fit's surfaces there is a backdrop, which moves its expected depth.
+    Metrics that are chosen judge all views of each capture, in each style: the ``photographs`` themselves, the
+    ``unstyled`` fit, the photographs in the colours of the painting (``palette``), the fit ``stylized``, and the
+    photographs painted one by one (``view_by_view``), with the cameras of the fit and the depth by stereo that it
+    begins with, where another photograph confirms it, and elsewhere the fit's median depth. ``photographs over KIND``
+    is the share of captures and styles in which they have the better score; ``comparisons`` in the provenance has the
+    numbers and names the lost ones.
 
     Args:
         stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
@@ -82,6 +95,8 @@ class Captures(Protocol):
         short_side: See ``num_gaussians``.
         holdout: Every ``holdout``-th view is held out.
         take: At most this many photographs, evenly spaced.
+        control: Metrics by which all of these are judged again, as ``control_photographs`` and so on, with the unstyled
+            fit in place of the photographs.
         lpips_backbone: The network of LPIPS.
         weights: The weights of LPIPS: ``auto`` takes ST-LPIPS (``st_lpips``) or a stand-in where they are missing.
 
@@ -104,6 +119,7 @@ class Captures(Protocol):
         short_side: AtLeastOne | None = None,
         holdout: Count = 8,
         take: AtLeastOne = 48,
+        control: Sequence[str] = (),
         lpips_backbone: Literal["alex", "vgg"] = "alex",
         weights: Weights = "auto",
     ) -> None:
@@ -112,6 +128,7 @@ class Captures(Protocol):
         self.stylizer, self.captures, self.poses = stylizer, [expanded(path) for path in captures], poses
         self.fit = Fit(quality=quality, num_gaussians=num_gaussians, num_steps=num_steps, holdout=holdout)
         self.short_side, self.take = short_side, take
+        self.control = {name: one for name, one in (metrics or {}).items() if name in control}
         self.lpips = lpips.load(lpips_backbone, weights)
         self.method, self.metrics, self.styles = method or Branch(), metrics or {}, styles
         self.better = {**BETTER, self.lpips.name: "lower"}
@@ -142,15 +159,20 @@ class Captures(Protocol):
                 raise UserError(f"{told}; delete it")
             records[name] = record
             for kind, values in record["scores"].items():
-                scores = {score: as_number(value) for score, value in values.items()}
+                scores = numbers(values)
                 files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
                 rows.append(Row(name, kind, scores, {what: file for what, file in files.items() if file.is_file()}))
         on_progress(Progress.count("captures", len(self.captures), len(self.captures)))
         kinds = dict.fromkeys(row.style for row in rows)
         groups = {kind: _mean([row.scores for row in rows if row.style == kind]) for kind in kinds}
+        found = compared({name: record.get("styles", {}) for name, record in records.items()}, self.better)
+        groups |= {title: {name: one["won"] / one["cells"] for name, one in of.items()} for title, of in found.items()}
         for row in rows:
             scene = groups.setdefault(f"{SCENE}{row.scene}", {})
             scene |= {f"{row.style}_{score}": value for score, value in row.scores.items()}
+        for name, record in records.items():
+            for kind, styles in record.get("styles", {}).items():
+                rows += [Row(name, f"{kind}, {style}", numbers(scores)) for style, scores in styles.items()]
         return Evaluation(
             scores=groups["fit"] | groups.get("stylized", {}),
             n=sum(int(record["heldout"]) for record in records.values()),
@@ -162,6 +184,7 @@ class Captures(Protocol):
                 "scenes": list(records),
                 "lpips_network": self.lpips.source.stand_in or self.lpips.source.network,
                 "costs": {name: record["costs"] for name, record in records.items()},
+                "comparisons": found,
                 "cameras": {name: record["cameras"] for name, record in records.items()},
                 "warnings": [text for record in records.values() for text in record.get("warnings", [])],
             },
@@ -183,7 +206,7 @@ class Captures(Protocol):
         photographs, masks = views.images[0, chosen], Masks.of(views)
         measured = None if masks is None else masks.select(chosen).measured
         scores: dict[str, Mapping[str, float]] = {}
-        warned = list[str]()
+        styles, warned = dict[str, dict[str, dict[str, float]]](), list[str]()
         for kind, reconstruct in (("fit", self._fit), ("feedforward", self._feedforward)):
             start = time.process_time()
             try:
@@ -192,19 +215,20 @@ class Captures(Protocol):
                 # A reconstruction that fails, for example with cameras that run the other way, is a result too.
                 scores[kind], costs[kind] = dict.fromkeys(self.better, nan), {"failed": str(error)}
                 continue
-            seconds = time.process_time() - start
+            spent = round(time.process_time() - start, 1)
             scores[kind] = self._quality(result.renders, photographs, measured)
-            costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians, **result.refined}
-            costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
+            costs[kind] = {"cpu_seconds": spent, "num_gaussians": result.num_gaussians, **result.refined}
             if kind == "fit" and self.metrics:
-                judged, warned = self._stylized(views, points, result.scene, path.stem, folder)
+                start = time.process_time()
+                judged, styles, warned = self._stylized(views, points, result.scene, path.stem, folder)
                 scores |= judged
+                costs["metrics"] = {"cpu_seconds": round(time.process_time() - start, 1)}
             for index, render in enumerate(result.renders):
                 to_pil(render).save(folder / f"{kind}_{index}.png")
         for index, photograph in enumerate(photographs):
             to_pil(photograph).save(folder / f"photograph_{index}.png")
         cameras["twins"], counts = count - len(different), {"views": count, "heldout": len(chosen)}
-        return {"scores": scores, "costs": costs, "cameras": cameras, "warnings": warned, **counts}
+        return {"scores": scores, "styles": styles, "costs": costs, "cameras": cameras, "warnings": warned, **counts}
 
     def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
         """Views with cameras, sparse points where they are known, and the entries of the report on the cameras."""
@@ -216,7 +240,7 @@ class Captures(Protocol):
             views, masks = masked_views(views, sources, {}, empty=True)
             posed = replace(views, cameras=known.of_all([source.name for source in sources]))
             return posed, None, {"trust": "known", "masks": masks}
-        estimator = StructureFromMotion(keep=False)
+        estimator = StructureFromMotion()
         originals = read_originals([path], longest=estimator.longest, max_views=self.take)
         posed = estimator(originals, short_side=short_side, enlarge=enlarge, multiple=multiple, on_progress=no_progress)
         if isinstance(posed, Verdict):
@@ -246,7 +270,7 @@ class Captures(Protocol):
         """Gaussians fitted to the other views; no step sees those held out."""
         views = views.to(self.stylizer.device)
         assert views.cameras is not None
-        count, options = self.fit.amounts(views.images.shape[1], found=points is not None)
+        count, options = self.fit.amounts(views.images.shape[1])
         masks = Masks.of(views)
         result = fit_photographs(
             views.images[0],
@@ -257,6 +281,7 @@ class Captures(Protocol):
             points=points,
             heldout=chosen,
             masks=masks,
+            keep=True,
         )
         with torch.no_grad():
             exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masks is not None)
@@ -281,47 +306,89 @@ class Captures(Protocol):
 
     def _stylized(
         self, views: Views, points: Sequence[Tensor] | None, scene: Scene, name: str, folder: Path
-    ) -> tuple[dict[str, Mapping[str, float]], list[str]]:
-        """Scores of the photographs, of the fit and of the fit in each style, along depth by stereo, with warnings."""
+    ) -> tuple[dict[str, Mapping[str, float]], dict[str, dict[str, dict[str, float]]], list[str]]:
+        """Scores of each kind of images along depth by stereo, the same in each style, and warnings."""
         stylizer, device, cameras = self.stylizer, self.stylizer.device, scene.cameras
         styles = [] if self.styles is None else [self.styles.read(index) for index in range(len(self.styles))]
         styles = styles or [Style(image=read_image(resolved(Path(PAINTING)))[None], names=(PAINTING,))]
-        painted: list[Tensor] = []
+        views, depth = views.to(device), self._depth(views, scene, points)
+        photographs = views.images
+        plain = stylizer.render(stylizer.unstyled(scene), cameras).color.detach()
+        base = Comparison(photographs, photographs, None, cameras, depth, (name,))
+        rows: dict[str, list[Comparison]] = {}
         for style in styles:
             image = None if style.image is None else style.image.to(device)
             embedding = stylizer.embed(text=style.text if image is None else None, image=image)
             gaussians = self.method(stylizer, scene, style.to(device), embedding)
-            painted.append(stylizer.render(gaussians, cameras).color.detach())
-        to_pil(painted[0][0, 0]).save(folder / "stylized_0.png")
-        plain = stylizer.render(stylizer.unstyled(scene), cameras).color.detach()
-        ratio = max(1.0, min(views.size) / STEREO_SIDE)
+            shown = {"photographs": photographs, "unstyled": plain}
+            if image is not None:
+                shown["palette"] = color_map(photographs[0], image).of_images(photographs[0])[None]
+            shown["stylized"] = stylizer.render(gaussians, cameras).color.detach()
+            if stylizer.branch.gaussian_head is None:
+                alone = stylized_views(stylizer, replace(scene, views=views), embedding)
+                shown["view_by_view"] = alone[None]
+            for kind, images in shown.items():
+                row = replace(base, stylized=images, style=style.to(device), styles=style.names)
+                rows.setdefault(kind, []).append(row)
+                to_pil(images[0, 0]).save(folder / f"{kind}_0.png")
+        sets = [(kind, self.metrics, of_kind) for kind, of_kind in rows.items()]
+        if self.control:
+            controls = {kind: [replace(row, content=plain) for row in of_kind] for kind, of_kind in rows.items()}
+            sets += [(f"control_{kind}", self.control, of_kind) for kind, of_kind in controls.items()]
+        scores, warned = dict[str, Mapping[str, float]](), dict[str, None]()
+        of_styles: dict[str, dict[str, dict[str, float]]] = {}
+        for kind, metrics, of_kind in sets:
+            judged = judge_scene(metrics, of_kind).values()
+            scores[kind] = {score: value for one in judged for score, value in one.scores.items()}
+            warned |= dict.fromkeys(f"{name}, {kind}: {text}" for one in judged for text in one.warned)
+            for style, values in ((style, values) for one in judged for style, values in one.styles.items()):
+                of_styles.setdefault(kind, {}).setdefault(style, {}).update(values)
+        return scores, of_styles, list(warned)
+
+    def _depth(self, views: Views, scene: Scene, points: Sequence[Tensor] | None) -> Float[Tensor, "1 V H W"]:
+        """Depth by stereo where another photograph confirms it, elsewhere of the fit; 0 where there is none."""
+        ratio, fitted = max(1.0, min(views.size) / STEREO_SIDE), self.stylizer.unstyled(scene)
         size = (round(views.size[0] / ratio), round(views.size[1] / ratio))
         small = interpolate(views.images[0].cpu(), size=size, mode="area")
-        stereo = plane_sweep(small, cameras.to("cpu").resized(size), points=points)
-        depth = interpolate(torch.where(stereo.support > 0, stereo.depth, 0)[None], views.size, mode="nearest-exact")
-        photographs = views.images.to(device)
-        base = Comparison(photographs, photographs, None, cameras, depth.to(device), (name,))
-        same = {"photographs": [photographs] * len(styles), "unstyled": [plain] * len(styles)}
-        scores, warned = dict[str, Mapping[str, float]](), dict[str, None]()
-        for kind, of_styles in (same | {"stylized": painted}).items():
-            pairs = zip(of_styles, styles, strict=True)
-            rows = [
-                replace(base, stylized=images, style=style.to(device), styles=style.names) for images, style in pairs
-            ]
-            found = judge_scene(self.metrics, rows).values()
-            scores[kind] = {score: value for one in found for score, value in one.scores.items()}
-            warned |= dict.fromkeys(f"{name}: {text}" for one in found for text in one.warned)
-        return scores, list(warned)
-
-    @torch.no_grad()
-    def _restyle_seconds(self, scene: Scene) -> float:
-        picture = torch.linspace(0, 1, 64).expand(1, 3, 64, 64) * torch.tensor([1.0, 0.6, 0.2]).view(1, 3, 1, 1)
-        embedding = self.stylizer.embed(image=picture.to(self.stylizer.device))
-        start = time.process_time()
-        Branch()(self.stylizer, scene, Style(), embedding)
-        return time.process_time() - start
+        stereo = plane_sweep(small, scene.cameras.to("cpu").resized(size), points=points)
+        known = torch.where((stereo.support > 0) & stereo.depth.isfinite(), stereo.depth, 0)[None]
+        known = interpolate(known, views.size, mode="nearest-exact").to(fitted.means)
+        return torch.where(known > 0, known, median_depth(fitted, scene.cameras, self.stylizer.renderer))
 
 
 def _mean(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Over captures with scores; NaN where there are none."""
     return {name: mean([row[name] for row in scores]) for name in dict.fromkeys(name for row in scores for name in row)}
+
+
+def numbers(scores: Mapping[str, Any]) -> dict[str, float]:
+    """Scores as they were stored: ``None`` is ``nan``."""
+    return {score: as_number(value) for score, value in scores.items()}
+
+
+def compared(
+    captures: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Any]]]], better: Mapping[str, str]
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """How often one kind of images has the better score than another one, over captures and styles.
+
+    Args:
+        captures: Scores by capture, kind and style.
+        better: ``higher`` or ``lower`` for each score.
+
+    Returns:
+        By ``FIRST over SECOND`` and score, the number of ``cells`` that have both scores, how many the first has
+        ``won``, and the names of those that it has ``lost`` or where the two are equal.
+    """
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for (first, second), (score, way) in product(COMPARED, better.items()):
+        cells = {
+            f"{name} in {style}": (as_number(kinds[first][style].get(score)), as_number(scores.get(score)))
+            for name, kinds in captures.items()
+            for style, scores in kinds.get(second, {}).items()
+        }
+        known = {cell: pair for cell, pair in cells.items() if not any(map(isnan, pair))}
+        lost = [cell for cell, (one, other) in known.items() if not (one < other if way == "lower" else one > other)]
+        if known:
+            one = {"cells": len(known), "won": len(known) - len(lost), "lost": lost}
+            found.setdefault(f"{first} over {second}", {})[score] = one
+    return found

@@ -7,7 +7,7 @@ import torch
 
 from anystyle.methods.colors import fit_colors
 from anystyle.types import Views
-from anystyle_captures.fit import fit_photographs, to_paint
+from anystyle_captures.fit import fit_photographs, to_paint, unlike_most
 from anystyle_captures.fit_loop import FitOptions
 from anystyle_captures.masks import Masks
 from anystyle_captures.stereo import plane_sweep
@@ -73,6 +73,20 @@ def test_what_is_ignored_is_neither_learnt_nor_measured_and_other_photographs_fi
     painted = to_paint(views, masked, RENDERER).images[0]
     assert (painted - images).abs().mean(1)[~valid].mean() < 0.12
     assert torch.equal(painted.movedim(1, -1)[valid], images.movedim(1, -1)[valid])
+
+
+def test_what_was_moved_before_one_photograph_is_not_painted_on(photographs):
+    images, cameras, _ = photographs
+    moved = images.clone()
+    moved[3, :, 14:40, 10:34] = torch.tensor([1.0, 0.0, 0.0])[:, None, None]
+    fitted = fit_photographs(moved, cameras, RENDERER, num_gaussians=900, options=OPTIONS)
+    named = unlike_most(fitted.unexplained, float(fitted.unexplained.nanmedian()))
+    painted = to_paint(Views(moved[None], cameras), fitted, RENDERER, named).images[0]
+    others = [view for view in range(9) if view != 3]
+    assert named == [3] and torch.equal(painted[others], images[others])
+    before, after = ((given[3] - images[3]).abs().mean(0)[14:40, 10:34].mean() for given in (moved, painted))
+    assert after < 0.3 * before
+    assert torch.equal(to_paint(Views(moved[None], cameras), fitted, RENDERER).images[0], moved)
 
 
 def test_hidden_colors_change_nothing(photographs):

@@ -17,7 +17,7 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
     stylizer = anystyle.load("painter")
     stylizer.renderer = ToyRenderer()
     metrics = {"consistency": Consistency()}
-    protocol = Captures(stylizer=stylizer, metrics=metrics, **Captures.example(tmp_path))
+    protocol = Captures(stylizer=stylizer, metrics=metrics, control=["consistency"], **Captures.example(tmp_path))
 
     def refuse(views):
         raise ValueError("cameras run the other way")
@@ -31,8 +31,13 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
     assert record["costs"]["feedforward"] == {"failed": "cameras run the other way"}
     shown = {row.style: row.pictures.keys() for row in evaluation.rows}
     assert shown["fit"] == {"photograph", "result"} and shown["feedforward"] == {"photograph"}
-    wall = {kind: evaluation.groups[kind]["consistency"] for kind in ("photographs", "unstyled", "stylized")}
-    assert wall["photographs"] < wall["stylized"] == evaluation.scores["consistency"] and not isnan(wall["unstyled"])
+    kinds = ("photographs", "unstyled", "palette", "stylized", "view_by_view")
+    wall = {kind: evaluation.groups[kind]["consistency"] for kind in (*kinds, *(f"control_{kind}" for kind in kinds))}
+    assert wall["photographs"] < wall["stylized"] == evaluation.scores["consistency"] < wall["view_by_view"]
+    assert not any(map(isnan, wall.values())) and wall["control_photographs"] != wall["photographs"]
+    row = {row.style: row.scores for row in evaluation.rows}["view_by_view, example:wave"]
+    assert row["consistency"] == wall["view_by_view"]
+    assert evaluation.groups["photographs over stylized"]["consistency"] == 1
     protocol.better["csd"] = "higher"
     with pytest.raises(ValueError, match="judged without csd, by other metrics or networks"):
         protocol.run(tmp_path / "out", no_progress)

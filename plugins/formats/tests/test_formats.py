@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 import torch
 
+from anystyle.cli.arguments import split
 from anystyle.commands import export as command
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.ply import from_smallest_three
 from anystyle.pipeline.export import export_styles
-from anystyle.pipeline.options import AXES
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
+from anystyle.types.scene import AXES
 from anystyle.vision.weights import License, licenses
 from anystyle_formats.html import _packed
 from anystyle_formats.packing import codebook, smallest_three
@@ -65,25 +66,27 @@ def test_an_asymmetric_scene_stands_upright_and_unmirrored_in_any_axes(up, tmp_p
     red = read.harmonics[0, :, 0, 0] > read.harmonics[0, :, 0, 1]
     right, top, away = (
         {"opencv": (means[:, 0], -means[:, 1], means[:, 2]), "y": (means[:, 0], means[:, 1], -means[:, 2]),
-         "z": (means[:, 0], means[:, 2], means[:, 1])}[up] for means in [read.means[0]]
+         "z": (means[:, 0], means[:, 2], means[:, 1]), "-z": (means[:, 0], -means[:, 2], -means[:, 1]),
+         "x": (means[:, 1], means[:, 0], means[:, 2]), "-x": (-means[:, 1], -means[:, 0], means[:, 2])}[up]
+        for means in [read.means[0]]
     ).__next__()  # fmt: skip
     for along, sign in ((right, 1), (top, 1), (away, -1)):
         assert sign * float(along[red].mean() - along[~red].mean()) > 0.3
     assert psnr(picture(from_axes(up, read)), picture(scene())) > 80
 
 
-@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("up", ["y", "z", "-z", "x"])
 def test_a_file_of_others_stands_upright_once_its_axes_are_said(up, tmp_path, capsys):
     """Degree 1: the directions of colours turn with the scene."""
     export(scene(4), tmp_path / "theirs.ply", "ply", up=up)
     words = [str(tmp_path / "theirs.ply"), "--out", str(tmp_path / "ours.spz"), "--from-up", up]
-    command.export(command.parser().parse_args(words))
+    command.export(*split(command.parser(), words))
     read = from_axes("y", READERS["spz"](tmp_path / "ours.spz"))
     assert psnr(picture(read), picture(scene(4))) > LEAST["spz"]
     assert psnr(picture(Gaussians.load(tmp_path / "theirs.ply")), picture(scene(4))) < 30
     (tmp_path / "report.json").write_text("{}")
     with pytest.raises(UserError, match="a folder of results is in OpenCV's axes"):
-        command.export(command.parser().parse_args([str(tmp_path), *words[1:]]))
+        command.export(*split(command.parser(), [str(tmp_path), *words[1:]]))
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])

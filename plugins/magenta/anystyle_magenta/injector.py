@@ -23,6 +23,19 @@ FINEST = 0.75
 strokes that are finer."""
 MAX_SCALE_UP = 2
 """No painting is larger than the views by more than this."""
+MARKS, USUAL = {5: 0.70, 4: 0.66, 25: 0.35}, -0.24
+"""Weights of numbers of a style, whose sum is how many octaves broader the marks of a painting are than a constant, and
+that sum for the usual painting. By least squares over 110 paintings: the mean octave of the variance of lightness, of
+differences of blurs by 0.5 to 8 pixels at 256; the share of its variance in paintings left out is 0.59."""
+STEEPNESS, MOST = 2.0, 0.5
+"""Octaves that strokes are broader by for each octave of the marks, and the most: with half as broad strokes paintings
+are found less often, and twice as broad ones hide the scene."""
+
+
+def stroke_scale(style: Float[Tensor, " D"]) -> float:
+    """How much broader than usual the strokes of a style are, from 0.7 to 1.4."""
+    octaves = float(sum(weight * style[number] for number, weight in MARKS.items())) - USUAL
+    return 2 ** max(-MOST, min(STEEPNESS * octaves, MOST))
 
 
 def stylize_images(
@@ -90,6 +103,8 @@ class MagentaInjector(Injector):
             sizes.
         coarse_to_fine: Whether larger views are painted again on top at twice the size, and so on up to their own:
             broad strokes with sharp edges.
+        own_strokes: Whether strokes are as broad as a style asks for by its numbers, :func:`stroke_scale` times the
+            usual: what the network makes of plain parts of the views then is not the same in every style.
         gate: What ``gate`` starts as: 0 is the identity, from which a branch learns; 1 stylizes without any learning.
         pretrained: Whether the network starts from Magenta's weights (``anystyle weights list magenta_transform``).
             One that starts from scratch takes any sites and any embedding.
@@ -103,6 +118,7 @@ class MagentaInjector(Injector):
         style_dim: int,
         working_size: Annotated[int, Range(ge=MIN_SIDE)] = 224,
         coarse_to_fine: bool = True,
+        own_strokes: bool = False,
         gate: float = 0.0,
         pretrained: bool = True,
         chunk: AtLeastOne = 8,
@@ -115,6 +131,7 @@ class MagentaInjector(Injector):
                 "injector.pretrained=false"
             )
         self.working_size, self.coarse_to_fine, self.chunk, self.scale = working_size, coarse_to_fine, chunk, 1.0
+        self.own_strokes = own_strokes
         self.network = StyleTransfer(channels=dim, style_dim=style_dim)
         self.gate = nn.Parameter(torch.tensor(float(gate)))
         if pretrained:
@@ -137,13 +154,20 @@ class MagentaInjector(Injector):
         other.scale = self.scale * scale
         return other
 
+    def _painted(self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V C H W"]:
+        """Views in styles of strokes of one width."""
+        painter = self.at_scale(stroke_scale(style[0])) if self.own_strokes else self
+        for size in painter.sizes((images.shape[-2], images.shape[-1])):
+            images = stylize_images(self.network, images, style, working_size=size, joint=True, chunk=self.chunk)
+        return images
+
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Stylize the patches; special tokens stay."""
         patches = tokens.patches  # B V (H W) C
         # As rgb_from_constant and constant_from_rgb, for any number of channels.
         images = (patches * CONSTANT + 0.5).clamp(0, 1).mT.unflatten(-1, tokens.grid)
-        stylized, style = images.to(self.gate.dtype), style.to(self.gate.dtype)
-        for size in self.sizes(tokens.grid):
-            stylized = stylize_images(self.network, stylized, style, working_size=size, joint=True, chunk=self.chunk)
+        images, style = images.to(self.gate.dtype), style.to(self.gate.dtype)
+        rows = zip(images.split(1), style.split(1), strict=True) if self.own_strokes else [(images, style)]
+        stylized = torch.cat([self._painted(*row) for row in rows])
         colors = ((stylized - 0.5) / CONSTANT).flatten(-2).mT.to(patches.dtype)
         return tokens.with_patches(torch.lerp(patches, colors, self.gate.to(patches.dtype)))

@@ -20,7 +20,8 @@ def stylizer():
 
 @pytest.fixture(scope="module")
 def scene(stylizer):
-    stylizer.branch.single_view = False  # the network alone; texturing has tests of its own
+    # The network alone; texturing and widths of strokes have tests of their own.
+    stylizer.branch.single_view = stylizer.branch.injectors["color"].own_strokes = False
     return stylizer.encode(views(1, 2, (56, 56)))
 
 

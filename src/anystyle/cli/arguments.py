@@ -74,7 +74,9 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
         if flag in actions:
             ours.append(word)
             if not has_value and actions[flag].nargs != 0 and index < len(words):
-                ours.append(words[index])
+                # After a space argparse would take `-z` for a flag.
+                joined = actions[flag].nargs is None and re.match(r"-.", words[index]) and words[index] not in actions
+                ours[-1:] = [f"{word}={words[index]}"] if joined else [word, words[index]]
                 index += 1
         elif flag in HYDRA:
             follow = 0 if has_value else HYDRA[flag]

@@ -14,19 +14,19 @@ def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle export``."""
     more = "splat.activated=true reads a file with scales as lengths and opacities in 0 to 1."
     words = new_parser("export", "Write a scene in another format.", more)
-    add, axes = words.add_argument, ("opencv", "y", "z")
+    add, axes = words.add_argument, ("opencv", "x", "-x", "y", "-y", "z", "-z")
     add("scene", type=Path, help="a file of Gaussians, or a folder of anystyle stylize")
     add("--to", help="the format, one of `anystyle plugins format` (default: the suffix of --out)")
     add("--out", type=Path, required=True, help="the file to write")
-    add("--up", choices=axes, help="axes of the file (default: what readers of the format expect)")
-    add("--from-up", choices=axes, help="axes of another program's file (default: what it says, or else its format)")
+    add("--up", choices=axes, help="what is up in the file (default: what readers of the format expect)")
+    add("--from-up", choices=axes, help="what is up in another program's (default: what it says, or else its format)")
     return words
 
 
 def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None:
     """Run the command; overrides are of the options ``splat``."""
     from anystyle.pipeline.export import export_styles
-    from anystyle.pipeline.options import SplatOptions
+    from anystyle.pipeline.options import SplatOptions, named_axes
     from anystyle.pipeline.saved import read_saved
     from anystyle.registry.catalog import catalog
     from anystyle.registry.compose import only_options
@@ -44,7 +44,7 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
     splat = only_options("splat", overrides) if overrides else SplatOptions()
     saved = read_saved(arguments.scene, replace(splat, up=arguments.from_up or splat.up))
     saved = replace(saved, title=arguments.scene.resolve().stem)
-    size = export_styles(saved, arguments.out, name, up=arguments.up)
+    size = export_styles(saved, arguments.out, name, up=named_axes("--up", arguments.up))
     print(f"{arguments.out}: {size / 1e6:.2f} MB, {saved.styles[-1][0]}")
 
 

@@ -58,9 +58,10 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     page = next((path for path in pages if path.is_file()), target / "sheet.png")
     own = "".join(f"; each style has a {path.name} in its folder" for path in pages if not path.is_file())
     took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
-    of_kind = {"": "", "aligned_": " with poses aligned", "matched_": " with colours matched"}
-    held_out = {word: results.run.encoded.reconstruction.get(f"heldout_{kind}psnr") for kind, word in of_kind.items()}
-    words = [f"{value:.1f} dB{word}" for word, value in held_out.items() if value is not None]
+    held_out = {"": "", "aligned_": " with poses aligned", "matched_": " with colours matched"}
+    measures = results.run.encoded.reconstruction
+    values = {told: measures.get(f"heldout_{name}psnr") for name, told in held_out.items()}
+    words = [f"{value:.1f} dB{told}" for told, value in values.items() if value is not None]
     quality = f"; PSNR of held-out photographs: {', '.join(words)}" if words else ""
     print(f"{scenes} in {target} in {took}{quality}; look at {page}{own}")
     if arguments.open:

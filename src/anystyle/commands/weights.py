@@ -7,29 +7,18 @@ from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError, unknown
 from anystyle.paths import expanded
 
-COMMANDS = {
-    "verify": (
-        "Check that a file of weights can be read to its end, holds finite tensors alone, and has the published "
-        "checksum if there is one; print what it holds. Nothing in the file is executed.",
-        "a file, or a row of `anystyle weights`",
-    ),
-    "download": (
-        "Fetch a file of weights from the Hugging Face hub into its cache; an interrupted download is continued. "
-        'Needs pip install "anystyle[hub]".',
-        "a row of `anystyle weights`",
-    ),
-}
-"""What each subcommand does, and its argument; ``list`` is the default."""
+COMMANDS = {"verify": "a file, or a row of `anystyle weights`", "download": "a row of `anystyle weights`"}
+"""The argument of each subcommand, whose docstring is its help; ``list`` is the default."""
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run ``anystyle weights``."""
     given = words_of(words)
     if given and given[0] in COMMANDS:
-        about, argument = COMMANDS[given[0]]
-        parser = new_parser(f"weights {given[0]}", about)
-        parser.add_argument("name", metavar="NAME", help=argument)
-        {"verify": verify, "download": download}[given[0]](parse(parser, given[1:]).name)
+        command = {"verify": verify, "download": download}[given[0]]
+        parser = new_parser(f"weights {given[0]}", command.__doc__)
+        parser.add_argument("name", metavar="NAME", help=COMMANDS[given[0]])
+        command(parse(parser, given[1:]).name)
         return
     parser = new_parser(
         "weights",
@@ -72,7 +61,10 @@ def _readable(size: int) -> str:
 
 
 def verify(name: str) -> None:
-    """Print what a file of weights holds, if nothing is wrong with it."""
+    """Check that a file of weights can be read to its end, holds finite tensors alone, and has the published checksum.
+
+    What it holds is printed; nothing in it is executed.
+    """
     from anystyle.io.checkpoint import has_header, read_header, sha256
     from anystyle.vision import weights
 
@@ -93,9 +85,8 @@ def verify(name: str) -> None:
         return  # a vocabulary, or a network for another reader: the checksum says all
     state = weights.read(path)
     for key, tensor in state.items():
-        if tensor.is_floating_point() and not bool(
-            (tensor if tensor.itemsize > 1 else tensor.float()).isfinite().all()
-        ):
+        whole = tensor if tensor.itemsize > 1 else tensor.float()
+        if tensor.is_floating_point() and not bool(whole.isfinite().all()):
             raise UserError(f"{path} is damaged: {key} holds values that are infinite or no numbers")
     if has_header(path):
         header = read_header(path)
@@ -107,7 +98,10 @@ def verify(name: str) -> None:
 
 
 def download(name: str) -> None:
-    """Fetch a file of weights from the Hugging Face hub."""
+    """Fetch a file of weights from the Hugging Face hub into its cache: needs pip install "anystyle[hub]".
+
+    An interrupted download is continued.
+    """
     from anystyle.vision import weights
 
     try:

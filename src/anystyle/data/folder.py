@@ -173,7 +173,7 @@ def map_files(files: Sequence[Path]) -> list[Path]:
 
     Depth, normals and masks are named as a photograph there and by a MAP, masks of COLMAP by the whole of its name.
     Of copies in several formats, which differ in their suffix alone, one counts, that in JPEG if there is one. A file
-    that is named as a COPY of another is one where it has the same pixels.
+    of the same format, or one that is named as a COPY of another, is a copy where it has the same pixels.
     """
     words = {file: _words(file) for file in files}
     photographs = {each for each in words.values() if not any(map(MAP.fullmatch, each))}
@@ -187,9 +187,12 @@ def map_files(files: Sequence[Path]) -> list[Path]:
     names = {file.name for file in files}
     chosen = {file.stem: file for file in sorted(files, key=lambda file: file.suffix.lower() in (".jpg", ".jpeg"))}
 
+    formats = Image.registered_extensions()
+
     def is_copy(file: Path) -> bool:
-        original = chosen.get(COPY.sub("", file.stem), file)
-        return chosen[file.stem] != file or (original != file and _alike(file, original))
+        one, original = chosen[file.stem], chosen.get(COPY.sub("", file.stem), file)
+        in_other = formats.get(one.suffix.lower()) != formats.get(file.suffix.lower())
+        return in_other or any(each != file and _alike(file, each) for each in (one, original))
 
     return [file for file in files if photographs & rests(file) or file.stem in names or is_copy(file)]
 

@@ -1,6 +1,7 @@
 """Cameras stored beside photographs."""
 
 import logging
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -16,26 +17,8 @@ from anystyle.types import Cameras, SourceImage
 
 _log = logging.getLogger(__name__)
 
-_WRITE = "write a transforms.json of them"
-UNREAD: Mapping[str, str] = {
-    "cameras.[bt][ix][nt]": "half of a COLMAP model; copy its images file too",
-    "images.[bt][ix][nt]": "half of a COLMAP model; copy its cameras file too",
-    "database.db": "COLMAP's features without a model; colmap mapper makes one (poses=sfm does without)",
-    "*.psx": "a project of Metashape; File > Export > Export Cameras writes the XML that is read",
-    "*.r[cs]proj": "a project of RealityScan; export a COLMAP model",
-    "cameras*.csv": "a table of RealityScan; export a COLMAP model",
-    "*.sfm": "Meshroom's; aliceVision_exportColmap -i FILE.sfm -o colmap writes a COLMAP model",
-    "sfm.json": "Meshroom's; aliceVision_exportColmap -i sfm.json -o colmap writes a COLMAP model",
-    "sfm_data.[jb]*": "OpenMVG's; openMVG_main_openMVG2Colmap -i sfm_data.bin -o colmap writes a COLMAP model",
-    "reconstruction.json": "OpenSfM's; opensfm export_colmap writes a COLMAP model",
-    "bundle*.out": "Bundler's; kapture's kapture_import_bundler.py and kapture_export_colmap.py write a COLMAP model",
-    "*_cam.txt": f"MVSNet's; give the COLMAP model that they were made of, or {_WRITE}",
-    "*calibrated_camera_parameters.txt": f"Pix4D's; {_WRITE}",
-    "cameras*.npz": f"matrices of NeuS or IDR; {_WRITE}",
-    "*pose.txt": f"one pose a file, as of 7-Scenes; {_WRITE}",
-    "traj*.txt": f"a trajectory; {_WRITE}",
-}
-"""Cameras that are not read, by a pattern of file names: whose they are, and what to do."""
+UNREAD: Mapping[str, str] = tomllib.loads(Path(__file__).with_name("unread.toml").read_text("utf-8"))
+"""Cameras that are not read, by a pattern of file names."""
 _INSIDE = ("cams", "opensfm", "pose", "poses", "sfm")
 
 
@@ -81,7 +64,9 @@ def unread(folders: Iterable[Path]) -> str | None:
             return f"there are cameras in {path}; poses=known poses_from={path} uses them"
     above = (place / name for each in given for place in (each, *each.parents[:2]) for name in ("", *_INSIDE))
     for each, (pattern, advice) in product(dict.fromkeys((*above, *inside)), UNREAD.items()):
-        if path := next(each.glob(pattern), None):
+        # Other programs' XMP files say how a photograph was developed.
+        files = (file for file in each.glob(pattern) if file.suffix != ".xmp" or b"capturingr" in file.read_bytes())
+        if path := next(files, None):
             return f"the cameras in {path} are not read: {advice}; poses=known poses_from=PATH reads the result"
     return None
 

@@ -101,7 +101,7 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path, notes: 
     return True
 
 
-def _with_vertices(data: PlyData, rows: NDArray[np.void], comments: Sequence[str]) -> PlyData:
+def _with_vertices(data: PlyData, rows: NDArray[Any], comments: Sequence[str]) -> PlyData:
     others = [element for element in data.elements if element.name != "vertex"]
     return PlyData([PlyElement.describe(rows, "vertex"), *others], text=data.text, comments=comments)
 

@@ -77,10 +77,14 @@ def contact_sheet(
     return sheet
 
 
+def shown(number: int) -> list[int]:
+    """Which of a number of views a sheet shows: at most four, evenly spaced."""
+    return np.linspace(0, number - 1, min(4, number)).round().astype(int).tolist()
+
+
 def thumbnails(views: Sequence[Image.Image]) -> list[Image.Image]:
-    """At most four of the views of a scene, evenly spaced, of the size of a sheet's cells."""
-    places = np.linspace(0, len(views) - 1, min(4, len(views))).round().astype(int)
-    return [ImageOps.contain(views[place], (CELL, CELL), Image.Resampling.LANCZOS) for place in places]
+    """Those of the views of a scene that a sheet shows, of the size of its cells."""
+    return [ImageOps.contain(views[place], (CELL, CELL), Image.Resampling.LANCZOS) for place in shown(len(views))]
 
 
 def style_sheet(

@@ -12,16 +12,11 @@ from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.io.atomic import final
-from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
 from anystyle.types import StyledScene
+from anystyle.types.scene import AXES
 
 _log = logging.getLogger(__name__)
-_FROM_OPENCV = {
-    "opencv": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    "y": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
-    "z": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
-}
 
 
 def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None = None) -> int:
@@ -29,7 +24,7 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
 
     Returns the size of the file in bytes.
 
-    ``name`` is a plugin of kind ``format``; ``up`` one of :data:`~anystyle.pipeline.options.AXES`, or ``None`` for what
+    ``name`` is a plugin of kind ``format``; ``up`` one of :data:`~anystyle.types.scene.AXES`, or ``None`` for what
     readers of the format expect.
     """
     writer, place = build(Format, name), final(path)
@@ -88,6 +83,6 @@ def turn(before: str, after: str, like: Tensor) -> Similarity:
 
 
 def _from_opencv(up: str, like: Tensor) -> Similarity:
-    if up not in _FROM_OPENCV:
+    if up not in AXES:
         raise UserError(f"up={up}; choose one of {', '.join(AXES)}")
-    return Similarity(like.new_ones(()), like.new_tensor(_FROM_OPENCV[up]), like.new_zeros(3))
+    return Similarity(like.new_ones(()), like.new_tensor(AXES[up]), like.new_zeros(3))

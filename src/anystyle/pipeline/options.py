@@ -17,9 +17,6 @@ from anystyle.registry.build import choice
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import check_fields
 
-AXES = ("opencv", "y", "z")
-"""Axes: x right, y down, z forward; x right, y up, z back; x right, y forward, z up. All are right-handed."""
-
 PATHS, MAX_FRAMES = ("smooth", "orbit"), 100_000
 """Of films."""
 
@@ -116,18 +113,21 @@ class ExportOptions:
 
     Args:
         colmap: ``binary`` or ``text`` writes a COLMAP model, ``none`` does not.
-        up: Axes of the scene's files: ``opencv``, ``y`` or ``z`` up; ``None`` is what readers of each format expect,
-            which for PLY is OpenCV's.
+        up: The axis that points up in the scene's files: ``x``, ``-x``, ``y``, ``-y`` (or ``opencv``), ``z`` or ``-z``;
+            ``None`` is what readers of each format expect, which for PLY is ``opencv``.
         formats: Further files of the scene, by plugins of kind ``format``.
+        renders: Whether the restyled views and a film are written; ``None`` is yes, but of a file of Gaussians only
+            where an option of ``video`` is given.
     """
 
     colmap: str = "none"
     up: str | None = None
     formats: list[str] = field(default_factory=list)
+    renders: bool | None = None
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))
-        _expect("export.up", str(self.up), ("None", *AXES))
+        object.__setattr__(self, "up", named_axes("export.up", self.up))
         for name in self.formats:
             catalog().find("format", name)
 
@@ -139,8 +139,8 @@ class SplatOptions:
     Args:
         cameras: The most views.
         folder: Where cameras are stored, if not beside the file or one folder above.
-        up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up; ``None`` is what the file says, or else its
-            format. Results are in OpenCV's.
+        up: The axis that points up in the file: ``x``, ``-x``, ``y``, ``-y`` (or ``opencv``, which 3DGS has), ``z`` or
+            ``-z``; ``None`` is what the file says, or else its format. Results are in OpenCV's axes.
         activated: Whether a file holds lengths and opacities in [0, 1] where its format has logarithms and logits.
         antialiased: Whether it was trained with antialiasing, by which opacities are lowered; ``None`` is what it says.
     """
@@ -152,7 +152,7 @@ class SplatOptions:
     antialiased: bool | None = None
 
     def __post_init__(self) -> None:
-        _expect("splat.up", str(self.up), ("None", *AXES))
+        object.__setattr__(self, "up", named_axes("splat.up", self.up))
         check_fields(self, "splat")
 
 
@@ -190,6 +190,12 @@ class VideoOptions:
             raise UserError(f"video.turns={self.turns:g} has no meaning with video.path={self.path}; leave it out")
         if self.turns == 0:
             raise UserError("video.turns=0; give turns of at most 100 either way, and not 0")
+
+
+def named_axes(option: str, up: str | None) -> str | None:
+    """One of :data:`anystyle.types.scene.AXES`, or ``None``, for what an option says."""
+    _expect(option, str(up), ("None", "opencv", "x", "-x", "y", "-y", "z", "-z"))
+    return "opencv" if up == "-y" else up
 
 
 def _expect(option: str, value: str, choices: Collection[str]) -> None:

@@ -72,18 +72,11 @@ class Restyler:
 
         styled = _finite(self.encoded.gaussians(restyle), f"the scene in the style {style.title}")
         before = self.encoded.groups[0].scene.gaussians
-        if before is not None and styled.harmonics.shape[2] < before.harmonics.shape[2]:
-            self._tell_dropped(isqrt(before.harmonics.shape[2]) - 1)
+        if before is not None and styled.harmonics.shape[2] < before.harmonics.shape[2] and not self._told:
+            keeps, self._told = "keep_harmonics" in inspect.signature(type(self.method)).parameters, True
+            remedy, degree = "; method.keep_harmonics=true keeps them" if keeps else "", before.harmonics.shape[2]
+            _log.warning("harmonics of degree 1 to %d of the given scene are dropped%s", isqrt(degree) - 1, remedy)
         return styled
-
-    def _tell_dropped(self, degree: int) -> None:
-        """Say once that colours of the scene no longer depend on the direction."""
-        if self._told:
-            return
-        self._told = True
-        keeps = "keep_harmonics" in inspect.signature(type(self.method)).parameters
-        remedy = "; method.keep_harmonics=true keeps them" if keeps else ""
-        _log.warning("harmonics of degree 1 to %d of the given scene are dropped%s", degree, remedy)
 
     def mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
         """How much of a style each Gaussian takes; computed once a mask."""

@@ -1,5 +1,7 @@
 """The last step: the files of results."""
 
+import logging
+import shutil
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
@@ -18,18 +20,20 @@ from anystyle.formats import comments
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.geometry.transforms import Similarity
 from anystyle.io import ply
-from anystyle.io.atomic import atomic_directory, write_json
+from anystyle.io.atomic import atomic_directory, final, write_json
 from anystyle.io.checkpoint import save_tensors
-from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
+from anystyle.io.sheet import Cell, save_png, shown, style_sheet, thumbnails, to_pil
 from anystyle.io.splats import NEAR, Offset
 from anystyle.paths import names_below
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.film import Film
-from anystyle.pipeline.request import PICTURE
+from anystyle.pipeline.options import VideoOptions
+from anystyle.pipeline.request import PICTURE, SavedScene
 from anystyle.pipeline.results import Result, Results, StylizeRun, pictures
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, SourceImage, StyledScene
 
+_log = logging.getLogger(__name__)
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
@@ -63,6 +67,8 @@ class Failures:
         self.lines: list[str] = []
         self.bug: Exception | None = None
         """The first error that no format should raise."""
+        self.ending: BaseException | None = None
+        """What interrupted the run, after some styles were finished."""
 
     def add(self, file: str, error: Exception) -> None:
         """Note that a file could not be written."""
@@ -72,7 +78,12 @@ class Failures:
             self.bug = error
 
     def tell(self, folder: Path) -> None:
-        """Raise what could not be written into a folder, if anything: a UserError, or the bug of a format."""
+        """Raise what could not be written into a folder, if anything: a UserError, or the bug of a format.
+
+        Or the interruption after which only some styles are there.
+        """
+        if self.ending is not None:
+            raise self.ending
         if not self.lines:
             return
         told = f"{'; '.join(self.lines)}; not written, and all else is in {folder}"
@@ -89,9 +100,9 @@ def write(results: Results, folder: Path) -> Failures:
     written: list[Future[Column]] = []
     columns, styles, report = [*writer.before], [("unstyled", run.unstyled)], {}
 
-    def wait() -> list[Column]:
+    def wait() -> None:
         with run.stages("write", writer.line):
-            return [future.result() for future in written]
+            written[-1].result()
 
     # A result is rendered and encoded in a thread while the next one is computed: memory holds two, and no film.
     with ThreadPoolExecutor(1) as thread:
@@ -104,10 +115,23 @@ def write(results: Results, folder: Path) -> Failures:
                 report = result.report
                 if any(result.shares(kind.shared) for kind in writer.common_formats.values()):
                     styles.append((result.style.title, result.gaussians))
-            columns += wait()
-        except BaseException:
+            wait()
+        except BaseException as error:
             writer.stop.set()
-            raise
+            if not isinstance(error, KeyboardInterrupt | SystemExit):
+                raise
+            writer.failures.ending = error
+    columns += [future.result() for future in written if future.exception() is None]
+    made = results.styles[: len(columns) - len(writer.before)]
+    if ending := writer.failures.ending:
+        if not (several and made):
+            raise ending
+        for unfinished in folder.glob(f"{len(made) + 1:02d}-*"):
+            shutil.rmtree(unfinished)
+        line = (
+            "%d of %d styles are in %s; the same command makes all, and `anystyle stylize %s` others of the same scene"
+        )
+        _log.warning(line, len(made), len(results), final(folder), final(folder))
     with run.stages("write", "what the styles have in common"):
         save_gaussians(run.unstyled, folder / "unstyled.safetensors")
         if several:
@@ -117,7 +141,7 @@ def write(results: Results, folder: Path) -> Failures:
             if len(alike) > 1:
                 writer.export(run.scene(alike, results.styles), folder / f"scene.{name}", name)
     if several:
-        common = {"style": [style.title for style in results.styles], "provenance": run.made_of(results.styles)}
+        common = {"style": [style.title for style in made], "provenance": run.made_of(made)}
         write_json(folder / "report.json", report | run.stages.report() | common)
     return writer.failures
 
@@ -128,8 +152,12 @@ class _ResultWriter:
     def __init__(self, run: StylizeRun, folder: Path, *, several: bool = False) -> None:
         self.run, self.encoded, self.folder = run, run.encoded, folder
         self.options, self.film = run.request.export, Film(run.request.video)
-        filmed = run.encoded.cameras if run.encoded.targets is None else run.encoded.targets[1]
-        self.line = f"scene, renders and a film {self.film.line(filmed)}"
+        self.filmed = run.encoded.targets or (run.encoded.names, run.encoded.cameras)
+        # A file of Gaussians is looked at where it comes from; pictures of it would take half of the time.
+        inputs, film = run.request.inputs, f"renders and a film {self.film.line(self.filmed[1])}"
+        given = isinstance(inputs, SavedScene) and inputs.path.is_file() and run.request.video == VideoOptions()
+        self.pictured = not given if self.options.renders is None else self.options.renders
+        self.line = f"scene, {film}" if self.pictured else f"scene and sheet; export.renders=true adds {film}"
         self.failures, self.stop = Failures(), Event()
         names = [name for name in self.options.formats if name != "ply"]
         self.formats: dict[str, type[Format]] = {name: catalog().find("format", name).load() for name in names}
@@ -140,10 +168,13 @@ class _ResultWriter:
         """Write a result into a folder of its own, and return the column of a sheet over several styles."""
         folder.mkdir(parents=True, exist_ok=True)
         self._write_scenes(result, folder)
-        renders = self._write_renders(
-            result, folder / "renders", self.encoded.names, result.cameras, self.encoded.sources
-        )
-        self._write_film(result, folder)
+        cameras, sources = result.cameras, self.encoded.sources
+        if self.pictured:
+            renders = self._write_renders(result, folder / "renders", self.encoded.names, cameras, sources)
+            self._write_film(result, folder)
+        else:
+            rows = shown(len(sources))
+            renders = _pictures_of(result.render(cameras.select(rows)), [sources[row] for row in rows])
         self._write_cameras(result, folder)
         column = (result.style.title, result.style.cell, thumbnails(renders))
         for picture in pictures([result.style]).values():
@@ -175,8 +206,7 @@ class _ResultWriter:
             self.failures.add(str(path.relative_to(self.folder)), error)
 
     def _write_film(self, result: Result, folder: Path) -> None:
-        encoded = self.encoded
-        names, cameras = encoded.targets or (encoded.names, result.cameras)
+        encoded, (names, cameras) = self.encoded, self.filmed
         if encoded.targets is not None:
             self._write_renders(result, folder / "targets", names, cameras)
         seen = encoded.photographed and encoded.targets is None

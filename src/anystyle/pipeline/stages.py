@@ -20,8 +20,7 @@ class Stages:
 
     def __init__(self, report: Callable[[str, Progress], None] = lambda stage, progress: None) -> None:
         self.seconds: dict[str, float] = {}
-        self._report = report
-        self._reported = 0.0
+        self._report, self._reported = report, 0.0
 
     @contextmanager
     def __call__(self, stage: str, line: str = "") -> Iterator[OnProgress]:

@@ -136,9 +136,7 @@ def _results_folder(out: str | Path | None, request: Request, overwrite: bool, a
     ):
         report = kept_json(out / "report.json", dict[str, Any])
         if report is not None and not overwrite and (again is None or report.get("request_sha256") != again):
-            raise UserError(
-                f"{out} holds results of another run; --overwrite (in Python overwrite=True) replaces them, another "
-                "--out keeps them"
-            )
+            ways = "--overwrite (in Python overwrite=True) replaces them, another --out keeps them"
+            raise UserError(f"{out} holds results of another run; {ways}")
         yield folder
         check()

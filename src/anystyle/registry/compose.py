@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from anystyle import paths
+from anystyle import paths, ranges
 from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.registry.builtin import MANY, OPTIONS
 from anystyle.registry.catalog import Plugin, catalog, kinds
@@ -42,6 +42,12 @@ _NULL = re.compile(r"(?P<group>\w+)(@\w+)?=null")
 
 ELSEWHERE: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("elsewhere.toml").read_text("utf-8"))
 """Words of other programs and what to write here, by the command that they are given to."""
+
+_NUMERIC = {"int", "float", "None", "Annotated", "Optional", "Union", "ge", "le", "gt", "lt", *ranges.__all__}
+"""What annotations of numbers are made of."""
+
+_TEXT = re.compile(r"(?!(null|none|true|false|inf|nan|yes|no|on|off)$)[a-z]\w*", re.IGNORECASE)
+"""A value that is no number, and in no way a sweep or an interpolation."""
 
 _NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to your config|Search path:|See https)")
 
@@ -117,7 +123,7 @@ def completed(words: Sequence[str]) -> list[str]:
     keys = [word.partition("=")[0] for word in words]
     for group in (group for group in UNCHOSEN if group not in keys):
         given = {key.split(".")[1] for key in keys if key.startswith(f"{group}.")}
-        having = [name for name in catalog().names(group) if given <= (arguments(catalog().find(group, name)) or set())]
+        having = [name for name in catalog().names(group) if given <= {*(arguments(catalog().find(group, name)) or ())}]
         words += [f"{group}={having[0]}"] if given and len(having) == 1 else []
     return words
 
@@ -129,12 +135,11 @@ def check_choices(words: Sequence[str]) -> None:
     """
     lines = "\n".join(words)
     own = [Path(each) for each in (*config_folders(words), *re.findall(r"file://([^,\]'\"\n]+)", lines))]
-    other = re.search(
-        r"^(-cp|-cn|-sc|--config-path|--config-name|--shell-)|^hydra.searchpath=.*pkg:", lines, re.MULTILINE
-    )
+    other = re.search(r"(?m)^(-cp|-cn|-sc|--config-path|--config-name|--shell-)|^hydra.searchpath=.*pkg:", lines)
     if other or not all(map(Path.is_dir, own)):
         return
     files = [file for folder in (paths.CONF, *preset_folders(), *own) for file in folder.rglob("*.yaml")]
+    roots = "".join(file.read_text("utf-8") for file in paths.CONF.glob("*.yaml"))
     written = "\n".join((lines, *(file.read_text("utf-8", "replace") for file in files)))
     top = {*re.findall(r"^\w+(?=:)", written, re.MULTILINE), *groups(), *OPTIONS, "hydra"}
     named = top | {*re.findall(r"\w+(?=:)|(?<=@)\w+", written)}
@@ -145,12 +150,19 @@ def check_choices(words: Sequence[str]) -> None:
             if name and name not in known:
                 raise UserError(_no_such(key, name, sorted(known)))
         first, *inner = key.split(".") if re.fullmatch(r"\w[\w.]*", key) else ("hydra",)
-        if first not in named and (near := did_you_mean(first, top)):
+        if first not in named:
+            near = did_you_mean(first, top) or " --cfg job shows all there are"
             raise UserError(f"Could not override '{key}': Key '{first}' is unknown.{near}")
-        takes, asked = _takes(first, inner, words), "".join(inner[1:2] if first in MANY else inner[:1])
-        if takes and asked and asked not in takes | named:
+        depth = 1 + (first in MANY)
+        takes, asked = _takes(first, inner, words), "".join(inner[depth - 1 : depth])
+        if takes and asked and asked not in {*takes, *named}:
             near = did_you_mean(asked, takes) or f" There are: {', '.join(sorted(takes))}"
             raise UserError(f"Could not override '{key}': Key '{asked}' is no option of {first}.{near}")
+        is_number = not inner and re.search(rf"(?m)^{first}: [\d.]+$", roots)
+        if len(inner) == depth and asked in takes:
+            is_number = {*re.findall(r"[A-Za-z]\w*", takes[asked])} <= _NUMERIC
+        if is_number and _TEXT.fullmatch(value):
+            raise UserError(f"{key}={value}: expected a number")
 
 
 def config_folders(words: Sequence[str]) -> list[str]:
@@ -158,15 +170,19 @@ def config_folders(words: Sequence[str]) -> list[str]:
     return re.findall(r"(?:^|\n)(?:-cd|--config-dir)[=\n](.+)", "\n".join(words))
 
 
-def _takes(key: str, inner: Sequence[str], words: Sequence[str]) -> set[str]:
-    """The options of plugins that words choose for a key, or of all of the kind; empty where sources do not tell."""
+def _takes(key: str, inner: Sequence[str], words: Sequence[str]) -> dict[str, str]:
+    """The options of plugins that words choose for a key, or of all of the kind, with their annotations.
+
+    Empty where sources do not tell.
+    """
     if key in OPTIONS:
         target = "lightning.pytorch.trainer.trainer:Trainer" if key == "trainer" else OPTIONS[key]
-        return arguments(Plugin(key, key, target, "anystyle")) or set()
+        return arguments(Plugin(key, key, target, "anystyle")) or {}
     known = catalog().names(key) if key in kinds() else []
     chosen = inner[:1] if key in MANY else [word.partition("=")[2] for word in words if word.startswith(f"{key}=")]
     taken = [arguments(catalog().find(key, name)) for name in known if name in chosen or not {*chosen} & {*known}]
-    return set() if None in taken else set().union(*filter(None, taken))
+    items = [item for options in taken for item in (options or {}).items() if None not in taken]
+    return {name: " | ".join(kind for each, kind in items if each == name) for name, _ in items}
 
 
 def override(key: str, value: object) -> str:
@@ -234,9 +250,8 @@ def _with_option(group: str, message: str) -> list[str]:
 
 def _message(error: BaseException) -> str:
     text = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
-    text = re.sub(
-        r"\. Did you mean: .*\?", "", one_line(text)
-    )  # OmegaConf 2.4 guesses too; :func:`_nearest` knows groups
+    # OmegaConf 2.4 guesses too; :func:`_nearest` knows groups.
+    text = re.sub(r"\. Did you mean: .*\?", "", one_line(text))
     return text.replace("is not in struct", "is unknown")
 
 

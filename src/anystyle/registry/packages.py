@@ -47,18 +47,18 @@ def constant(plugin: Plugin, name: str) -> Any:
     return getattr(plugin.load(), name)
 
 
-def arguments(plugin: Plugin) -> set[str] | None:
-    """The names of what a plugin's constructor takes, read from its source; ``None`` where that does not tell them."""
+def arguments(plugin: Plugin) -> dict[str, str] | None:
+    """What a plugin's constructor takes, with annotations, read from its source; ``None`` where that does not tell."""
     source = _source(plugin) if plugin.defined is None else None
     if source is None:
         return None
     for each in source.body:
         if isinstance(each, ast.FunctionDef) and each.name == "__init__":
-            given = each.args
-            return None if given.kwarg else {item.arg for item in (*given.args, *given.kwonlyargs)} - {"self"}
+            own, given = ast.Name("Any"), [*each.args.args[1:], *each.args.kwonlyargs]
+            return None if each.args.kwarg else {item.arg: ast.unparse(item.annotation or own) for item in given}
     is_dataclass = any("dataclass" in ast.unparse(each) for each in source.decorator_list) and not source.bases
-    names = {ast.unparse(each.target) for each in source.body if isinstance(each, ast.AnnAssign)}
-    return names if is_dataclass else None
+    fields = [each for each in source.body if isinstance(each, ast.AnnAssign)]
+    return {ast.unparse(each.target): ast.unparse(each.annotation) for each in fields} if is_dataclass else None
 
 
 def _source(plugin: Plugin) -> ast.ClassDef | None:

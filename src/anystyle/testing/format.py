@@ -11,11 +11,11 @@ from torch import Tensor
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.pipeline.export import in_axes
-from anystyle.pipeline.options import AXES
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.testing.inputs import cameras, gaussians
 from anystyle.testing.subject import Subject
 from anystyle.types import Gaussians, StyledScene
+from anystyle.types.scene import AXES
 
 
 def test_writes_one_file(plugin: Subject[Format]) -> None:

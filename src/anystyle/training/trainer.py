@@ -37,9 +37,7 @@ RANGES: Mapping[str, Any] = {
     "checkpoint.best": _or_none(Annotated[str, Range(description="a logged value such as val/loss, or null")]),
     "checkpoint.mode": Literal["min", "max"],
     "average": _or_none(Annotated[float, Range(gt=0, lt=1, description="a decay such as 0.999, or null")]),
-    "explosion": _or_none(
-        Annotated[float, Range(gt=1, description="a factor such as 1000, or null to let losses grow")]
-    ),
+    "explosion": _or_none(Annotated[float, Range(gt=1, description="a factor such as 1000, or null: never")]),
     "resume": Literal["auto", "never", "changed"],
     "loggers": Annotated[list[str], Range(description="such as loggers=[tensorboard]")],
     "trainer.max_time": _or_none(Annotated[str, Range(description="days and time as DD:HH:MM:SS")]),

@@ -145,6 +145,17 @@ class Renders(Value):
     alpha: Float[Tensor, "B V H W"]
 
 
+AXES: Mapping[str, tuple[tuple[float, float, float], ...]] = {
+    "opencv": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "x": ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "-x": ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "y": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+    "z": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+    "-z": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
+}
+"""The rotation to axes, by the one that points up, from OpenCV's, in which -y does."""
+
+
 @dataclass(frozen=True)
 class StyledScene:
     """One scene in several styles, as files hold it.
@@ -155,7 +166,7 @@ class StyledScene:
         names: Names of the cameras.
         notes: Lines on where the scene comes from, such as licences.
         title: To display.
-        up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
+        up: Axes of Gaussians and cameras' poses, one of :data:`AXES`.
         offset: What was taken off the positions of Gaussians and cameras, in these axes.
         pictures: Small images of styles that were given as one, by the titles of these.
         photographed: Whether cameras are those of photographs, and not chosen around a scene.

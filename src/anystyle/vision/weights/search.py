@@ -68,9 +68,10 @@ def find(name: str, path: str | Path | None = None) -> Path:
     entry = row(name)
     by_hub = f" (`anystyle weights download {name}` does)" if entry.hub else ""
     shown = ", ".join(map(str, searched)) + (", the Hugging Face cache" if entry.hub and has_hub() else "")
+    put = "" if entry.package else f" and put it into a folder that {FOLDERS} names"  # a package is found where it is
     raise MissingWeights(
-        f"the weights {name!r} are missing: get {entry.file} from {entry.source}{by_hub} ({entry.license}) and put it "
-        f"into a folder that {FOLDERS} names; looked for {shown}"
+        f"the weights {name!r} are missing: get {entry.file} from {entry.source}{by_hub} ({entry.license}){put}; "
+        f"looked for {shown}"
     )
 
 
