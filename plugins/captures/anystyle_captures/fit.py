@@ -30,6 +30,7 @@ from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import unlike as differ
+from anystyle_captures.poses import report
 from anystyle_captures.sky import without_sky
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.twins import groups, held_out
@@ -65,6 +66,7 @@ MAX_UNEXPLAINED_OF_ONE, FAR_MORE = 0.05, 5
 """The same fraction of single photographs, and its ratio to the median: a photograph of an object that had been turned
 over has 0.07, one of nothing but leaves 0.09, and others have at most 0.035."""
 
+Refine = Literal["none", "poses", "lenses"]
 QualityLevel = Literal["draft", "good", "best", "full"]
 
 
@@ -80,6 +82,7 @@ class Fit(Reconstruction):
         holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it,
             together with those that show the same; the final steps see all views. Fewer views are not held out; 0 holds
             out none.
+        refine: Whether the fit refines cameras that are not exact: ``poses``, or ``lenses`` (focal lengths, too).
         state: A file to write the fit to as it goes, and to resume it from.
         keep: Whether the fitted scene is cached, and read from the cache when the same photographs are fitted again
             with the same options.
@@ -96,6 +99,7 @@ class Fit(Reconstruction):
         num_steps: AtLeastOne | None = None,
         degree: Count = 0,
         holdout: Count = 8,
+        refine: Refine = "none",
         state: str | None = None,
         keep: bool = True,
         seed: int = 0,
@@ -104,7 +108,7 @@ class Fit(Reconstruction):
         self.short_side, self.max_views = self.preset.short_side, MAX_VIEWS
         self.num_gaussians, self.num_steps = num_gaussians, num_steps
         self.degree, self.seed = degree, seed
-        self.holdout, self.keep = holdout, keep
+        self.holdout, self.refine, self.keep = holdout, refine, keep
         self.state = None if state is None else expanded(state)
 
     def amounts(self, num_views: int) -> tuple[int, FitOptions]:
@@ -115,6 +119,7 @@ class Fit(Reconstruction):
             num_steps=self.num_steps or round(preset.num_steps * growth),
             final_steps=preset.final_steps if self.num_steps else round(preset.final_steps * growth),
             degree=self.degree,
+            refine=self.refine,
             seed=self.seed,
         )
         return self.num_gaussians or round(self.preset.num_gaussians * growth), options
@@ -180,6 +185,10 @@ class Fit(Reconstruction):
         found = {"kept": float(result.cached), "twins": float(views.images.shape[1] - len(photographs))}
         measures |= {name: value for name, value in found.items() if value}
         heldout = {} if result.heldout is None else result.heldout._asdict()
+        if options.refine != "none":
+            refined = result.cameras(views.size)
+            measures |= report(views.cameras, refined, result.aligned_psnr)
+            views = replace(views, cameras=refined)
         measures |= {f"heldout_{name}": value for name, value in heldout.items()}
         views = to_paint(views, result, renderer, unlike)
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
@@ -241,11 +250,9 @@ def fit_photographs(
 
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
-        start = partial(_initial, images, cameras, points, masks, num_gaussians, options.seed)
-        added = partial(start, range(len(images)), hidden)
-        loop = FitLoop(
-            images, cameras, start(training, training), renderer, options, heldout=hidden, of_heldout=added, masks=masks
-        )
+        initial = partial(_initial, images, points, masks, num_gaussians, options.seed)
+        start = initial(cameras, training, training)
+        loop = FitLoop(images, cameras, start, renderer, options, heldout=hidden, initial=initial, masks=masks)
         if state is None:
             return loop.run(on_progress).as_dict()
         _resume(loop, state, key, images.device)
@@ -257,13 +264,17 @@ def fit_photographs(
     result = FitResult.from_dict(values, images.device)
     # Back to the order given.
     back = torch.tensor(order, device=images.device).argsort()
-    by_view = {name: getattr(result, name)[back] for name in ("gains", "biases", "unexplained")}
+    by_view = {
+        name: getattr(result, name)[back]
+        for name in ("gains", "biases", "unexplained", "world_from_camera", "intrinsics")
+    }
     return replace(result, **by_view, cached=from_cache)
 
 
 def _write_state(loop: FitLoop, path: Path, key: str) -> None:
-    with atomic_path(path, sync=True) as temporary:
-        torch.save({"key": key, "fit": loop.state_dict()}, temporary)
+    # A file, for PyTorch takes no path whose name begins with a point and has no suffix.
+    with atomic_path(path, sync=True) as temporary, temporary.open("wb") as file:
+        torch.save({"key": key, "fit": loop.state_dict()}, file)
 
 
 def _resume(loop: FitLoop, path: Path, key: str, device: torch.device) -> None:
@@ -286,11 +297,11 @@ def _resume(loop: FitLoop, path: Path, key: str, device: torch.device) -> None:
 
 def _initial(
     images: Float[Tensor, "V 3 H W"],
-    cameras: Cameras,
     points: Sequence[Float[Tensor, "_ 3"]] | None,
     masks: Masks | None,
     num_gaussians: int,
     seed: int,
+    cameras: Cameras,
     seen: Sequence[int],
     lifted: Sequence[int],
 ) -> InitialScene:

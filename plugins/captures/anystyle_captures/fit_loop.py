@@ -1,10 +1,12 @@
 """The optimisation of Gaussians through a renderer, towards posed photographs."""
 
+import logging
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -20,7 +22,9 @@ from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
+from anystyle_captures.poses import LEFT, MAX_RATE, REACH, RefinedCameras, difference
 
+logger = logging.getLogger(__name__)
 RATES = {
     "offsets": (0.07, 0.05),  # of centres, in footprints of a pixel
     "scales": (0.04, 0.2),  # of log scales
@@ -43,6 +47,9 @@ PRUNE_EVERY = 200
 """Steps between removals of Gaussians."""
 NEAREST_EXPOSURES = 2
 """A held-out view takes the exposure of this many nearest training views."""
+REFINE_FROM, ANEW, MAX_ANEW = 0.1, 0.0017, 1
+"""The fraction of the steps after which cameras are refined; how far they may have moved when the coarse steps end, in
+radians and median depths, before all begins anew from them; and how often it does. 0.0017 are 0.1 degrees."""
 
 
 class InitialScene(NamedTuple):
@@ -62,6 +69,7 @@ class FitOptions:
     degree: int = 0  # of the spherical harmonics
     exposure_lr: float = 0.002  # falls to a tenth; 0 disables exposure
     scale_weight: float = 0.0  # of the mean scale in footprints: only small Gaussians leave room for a style's strokes
+    refine: Literal["none", "poses", "lenses"] = "none"  # cameras; lenses: poses, too
     evaluate_every: int = 200
     final_steps: int = 0  # on all views, if some are held out; the reported quality precedes them
     seed: int = 0
@@ -78,7 +86,14 @@ class FitResult:
     train_psnr: float  # dB, with each view's exposure
     unexplained: Float[Tensor, " V"]  # see :func:`unexplained`; NaN of photographs that it was not fitted to
     heldout: Quality | None  # before the final steps
+    world_from_camera: Float[Tensor, "V 4 4"]  # as refined
+    intrinsics: Float[Tensor, "V 3 3"]
+    aligned_psnr: float | None = None  # of the views held out, once their cameras were refined, too
     cached: bool = False
+
+    def cameras(self, size: tuple[int, int]) -> Cameras:
+        """The cameras of all views, as refined, for images of a size."""
+        return Cameras(self.world_from_camera[None], self.intrinsics[None], size)
 
     @torch.no_grad()
     def photographed(
@@ -140,6 +155,10 @@ class Exposures:
         self.values[self.training] -= self.values[self.training].mean(0)
 
 
+Initial = Callable[[Cameras, Sequence[int], Sequence[int]], InitialScene]
+"""Gaussians at pixels of some views, the second, by stereo of others, the first, with the cameras of all views."""
+
+
 class FitLoop:
     """A fit, one view per step, which can be interrupted and resumed between any two steps."""
 
@@ -152,29 +171,44 @@ class FitLoop:
         options: FitOptions,
         *,
         heldout: tuple[int, ...] = (),
-        of_heldout: Callable[[], InitialScene] | None = None,
+        initial: Initial | None = None,
         masks: Masks | None = None,
     ) -> None:
-        initial, self.free_space = start
-        self.of_heldout, self.masks = of_heldout, masks
+        self.initial, self.masks = initial, masks
         # Photographs of which masks leave nothing teach nothing.
         self.useful = [view for view in range(len(images)) if masks is None or bool(masks.measured[view].any())]
         self.training = [view for view in self.useful if view not in heldout]
         self.generator = torch.Generator().manual_seed(options.seed)
         self.step = 0
         self.quality: Quality | None = None
+        self.aligned_psnr: float | None = None
+        self.begun = 0
         self.order, self.recent = list[int](), list[float]()  # views that are left of a pass; the PSNR of the last pass
-        self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
+        self.images, self.given, self.renderer, self.options = images, cameras, renderer, options
         self.heldout = heldout
-        size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
-        self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
-        self.half_masks = None if masks is None else masks.resized(size)
-        self.splats = _parameters(_round_gaussians(initial, options.degree), initial.footprints)
-        self._carve()
+        self.half_size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
+        self.half_images = interpolate(images, size=self.half_size, mode="area")
+        self.half_masks = None if masks is None else masks.resized(self.half_size)
+        self._begin(start)
         self.background = background(renderer, self.gaussians(), cameras)
-        self.nearest = NEAREST * float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.exposures = Exposures(cameras, self.training)
         self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
+
+    def _begin(self, start: InitialScene) -> None:
+        """Begin at the first step, with the cameras as they are now."""
+        cameras = self.cameras if self.begun else self.given
+        initial, self.free_space = start
+        depth = float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
+        self.nearest, refine = NEAREST * depth, self.options.refine
+        self.refined = None if refine == "none" else RefinedCameras(cameras, depth, lenses=refine == "lenses")
+        self.splats = _parameters(_round_gaussians(initial, self.options.degree), initial.footprints)
+        self.step, self.order, self.begun = 0, [], self.begun + 1
+        self._carve()
+
+    @property
+    def cameras(self) -> Cameras:
+        """The cameras of all views, as they are now."""
+        return self.given if self.refined is None else self.refined.now()
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, a batch of one scene."""
@@ -191,13 +225,15 @@ class FitLoop:
             self.order = [self.training[i] for i in torch.randperm(len(self.training), generator=self.generator)]
         view = self.order.pop()
         coarse = self.step < options.half_resolution * options.num_steps
-        images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
-        masks = self.half_masks if coarse else self.masks
+        images, masks = (self.half_images, self.half_masks) if coarse else (self.images, self.masks)
+        refined = self.refined if self.step >= REFINE_FROM * options.num_steps else None
+        cameras = self.cameras.select([view]) if refined is None else refined.cameras([view])
+        cameras = cameras.resized((images.shape[-2], images.shape[-1]))
         target = images[view, None]
         gaussians = self.gaussians()
         kept = torch.rand(len(self.splats), generator=self.generator).to(images) >= options.dropout
         opacities = (gaussians.opacities * kept / (1 - options.dropout)).clamp_max(MAX_OPACITY)
-        renders = self.renderer(replace(gaussians, opacities=opacities), cameras.select([view]))
+        renders = self.renderer(replace(gaussians, opacities=opacities), cameras)
         # Over random colours, so that no Gaussian lets the background through where there is something.
         transmittance = 1 - renders.alpha[0, :, None]
         color = renders.color[0] - transmittance * self.background
@@ -218,6 +254,9 @@ class FitLoop:
             self.exposure_optimizer.step()
             self.exposure_optimizer.zero_grad(set_to_none=True)
             self.exposures.center()
+        if refined is not None:
+            rate = min(MAX_RATE, REACH * len(self.training) / options.num_steps)
+            refined.step(view, rate * LEFT**fraction, self.training)
         self.step += 1
         if self.step % PRUNE_EVERY == 0 and fraction < 0.8:
             self._prune()
@@ -283,11 +322,16 @@ class FitLoop:
         started, first = time.monotonic(), self.step
         while self.step < self.last_step:
             self.recent = [*self.recent[1 - len(self.training) :], self.advance()]
+            if self._begins_anew():
+                started, first = time.monotonic(), 0
+                continue
             # Held-out views are included after the last step without them.
             if self.step % self.options.evaluate_every and self.step not in (self.last_step, self.options.num_steps):
                 continue
             if self.step <= self.options.num_steps:
                 self.quality = self.heldout_quality()
+            if self.step == self.options.num_steps and self.refined is not None:
+                self._align_heldout(self.refined)
             if self.step == self.options.num_steps and self.options.final_steps:
                 self._include_heldout()
             pace = (time.monotonic() - started) / (self.step - first)
@@ -301,7 +345,10 @@ class FitLoop:
         unlike = torch.full_like(gains[:, 0], math.nan)
         for view in self.training:
             unlike[view] = unexplained(self.render(view), self.images[view, None], self._measured([view]))[0]
-        return FitResult(self.gaussians().detach(), 1 + gains, biases, self.step, self.mean, unlike, self.quality)
+        cameras, quality = self.cameras, (self.quality, self.aligned_psnr)
+        posed = cameras.world_from_camera[0], cameras.intrinsics[0]
+        scene = self.gaussians().detach(), 1 + gains, biases
+        return FitResult(*scene, self.step, self.mean, unlike, quality[0], *posed, quality[1])
 
     @property
     def mean(self) -> float:
@@ -313,13 +360,37 @@ class FitLoop:
         """The number of all steps."""
         return self.options.num_steps + (self.options.final_steps if self.heldout else 0)
 
+    def _begins_anew(self) -> bool:
+        """Once the coarse steps end, begin with depths by better cameras if those that were given have moved far."""
+        if self.refined is None or self.initial is None or self.begun > MAX_ANEW:
+            return False
+        coarse = math.ceil(self.options.half_resolution * self.options.num_steps)
+        if self.step != coarse or self.refined.moved(self.training) < ANEW:
+            return False
+        moved = difference(self.refined.given.select(self.training), self.cameras.select(self.training))
+        logger.info("cameras moved by %.2f° and %.1f%% of their radius: the fit begins anew", moved[0], 100 * moved[1])
+        self._begin(self.initial(self.cameras, self.training, self.training))
+        return True
+
+    def _align_heldout(self, refined: RefinedCameras) -> None:
+        """Refine the cameras of views held out, against the scene as it is."""
+        views = [view for view in self.heldout if view in self.useful]
+        coarse, fine = (self.half_images, self.half_masks), (self.images, self.masks)
+        side = min(self.half_size)
+        for view in views:
+            for (images, masks), window in ((coarse, max(side // 8, 1)), (coarse, max(side // 16, 1)), (fine, 1)):
+                measured = None if masks is None else masks.measured[view, None]
+                refined.align(view, partial(self.render, view), images[view, None], measured, window)
+        quality = self.heldout_quality()
+        self.aligned_psnr = quality and quality.psnr
+
     def _include_heldout(self) -> None:
         """From now on steps see all views; those held out begin with the exposure of neighbouring views."""
         with torch.no_grad():
             for view in self.heldout:
                 self.exposures.values[view] = self.exposures.of(view)
-        if self.of_heldout is not None:
-            added, self.free_space = self.of_heldout()
+        if self.initial is not None:
+            added, self.free_space = self.initial(self.cameras, range(len(self.images)), self.heldout)
             new = _round_gaussians(added, self.options.degree)
             together = Gaussians.cat([self.gaussians().detach(), new], dim=1)
             self.splats = _parameters(together, torch.cat([self.splats.units, added.footprints]))
@@ -341,9 +412,9 @@ class FitLoop:
         return None if self.masks is None else self.masks.select(views).measured
 
     @torch.no_grad()
-    def render(self, view: int) -> Float[Tensor, "1 3 H W"]:
+    def render(self, view: int, camera: Cameras | None = None) -> Float[Tensor, "1 3 H W"]:
         """One view with the exposure of its photograph, clamped to [0, 1]; over white where there are masks."""
-        renders = self.renderer(self.gaussians(), self.cameras.select([view]))
+        renders = self.renderer(self.gaussians(), camera or self.cameras.select([view]))
         if self.masks is None:
             return self.exposures.apply(renders.color[0], view).clamp(0, 1)
         alpha = renders.alpha[0, :, None]
@@ -361,6 +432,11 @@ class FitLoop:
             "exposures": self.exposures.values.detach(),
             "exposure_optimizer": self.exposure_optimizer.state_dict(),
             "quality": self.quality and tuple(self.quality),
+            "aligned_psnr": self.aligned_psnr,
+            "begun": self.begun,
+            "nearest": self.nearest,
+            "free_space": self.free_space and (self.free_space.surfaces, *vars(self.free_space.cameras).values()),
+            "refined": self.refined and self.refined.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -373,6 +449,13 @@ class FitLoop:
         self.exposure_optimizer.load_state_dict(state["exposure_optimizer"])
         self.exposures.train(self.training)
         self.quality = state["quality"] and Quality(*state["quality"])
+        self.aligned_psnr, self.begun, self.nearest = (state[name] for name in ("aligned_psnr", "begun", "nearest"))
+        self.free_space = None
+        if state["free_space"] is not None:
+            surfaces, *cameras = state["free_space"]
+            self.free_space = FreeSpace(surfaces, Cameras(*cameras))
+        if self.refined is not None:
+            self.refined.load_state_dict(state["refined"])
 
 
 @torch.no_grad()

@@ -39,6 +39,7 @@ from anystyle_captures.fit import STEREO_SIDE, Fit, QualityLevel, fit_photograph
 from anystyle_captures.masks import Masks
 from anystyle_captures.median_depth import median_depth
 from anystyle_captures.photometric import quality_of
+from anystyle_captures.poses import report
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from anystyle_captures.twins import groups, held_out
@@ -62,6 +63,7 @@ class _Result(NamedTuple):
     renders: Float[Tensor, "V 3 H W"]
     scene: Scene
     num_gaussians: int
+    refined: Mapping[str, float] = {}
 
 
 class Captures(Protocol):
@@ -217,7 +219,7 @@ class Captures(Protocol):
                 continue
             spent = round(time.process_time() - start, 1)
             scores[kind] = self._quality(result.renders, photographs, measured)
-            costs[kind] = {"cpu_seconds": spent, "num_gaussians": result.num_gaussians}
+            costs[kind] = {"cpu_seconds": spent, "num_gaussians": result.num_gaussians, **result.refined}
             if kind == "fit" and self.metrics:
                 start = time.process_time()
                 judged, styles, warned = self._stylized(views, points, result.scene, path.stem, folder)
@@ -285,8 +287,11 @@ class Captures(Protocol):
         )
         with torch.no_grad():
             exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masks is not None)
+            refined = result.cameras(views.size)
+            measures = report(views.cameras, refined, result.aligned_psnr) if options.refine != "none" else {}
+            views = replace(views, cameras=refined)
             scene = scene_of_fit(views, encoder(self.stylizer)(views), result, self.stylizer.renderer)
-        return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1])
+        return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1], measures)
 
     @torch.no_grad()
     def _quality(

@@ -54,7 +54,7 @@ def test_the_final_steps_begin_with_gaussians_of_the_views_held_out(photographs,
 
 def test_stereo_reads_small_images_and_pixels_are_those_of_the_photographs(photographs, monkeypatch):
     images, cameras, _ = photographs
-    given = images, cameras, None, None, 900, 0
+    given = images, None, None, 900, 0, cameras
     whole = captures_fit._initial(*given, range(9), range(9)).gaussians
     monkeypatch.setattr(captures_fit, "STEREO_SIDE", min(images.shape[-2:]) // 2)
     small = captures_fit._initial(*given, range(9), range(9)).gaussians

@@ -58,8 +58,8 @@ def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     page = next((path for path in pages if path.is_file()), target / "sheet.png")
     own = "".join(f"; each style has a {path.name} in its folder" for path in pages if not path.is_file())
     took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
-    held_out, measures = {"": "", "matched_": " with colours matched"}, results.run.encoded.reconstruction
-    values = {told: measures.get(f"heldout_{name}psnr") for name, told in held_out.items()}
+    held_out = {"": "", "aligned_": " with poses aligned", "matched_": " with colours matched"}
+    values = {told: results.run.encoded.reconstruction.get(f"heldout_{name}psnr") for name, told in held_out.items()}
     words = [f"{value:.1f} dB{told}" for told, value in values.items() if value is not None]
     quality = f"; PSNR of held-out photographs: {', '.join(words)}" if words else ""
     print(f"{scenes} in {target} in {took}{quality}; look at {page}{own}")
