@@ -329,7 +329,8 @@ def _initial(
     initial = replace(initial, pixels=pixels, footprints=initial.footprints * size[1] / width)
     keep = torch.isin(pixels[:, 0], torch.tensor(lifted))
     gaussians: InitialGaussians = initial.map(lambda tensor: tensor[keep])
-    return InitialScene(gaussians.to(images.device), FreeSpace.of(stereo, posed).to(images.device))
+    confirmed = float((stereo.support > 0).double().mean())
+    return InitialScene(gaussians.to(images.device), FreeSpace.of(stereo, posed).to(images.device), confirmed)
 
 
 @torch.no_grad()

@@ -47,9 +47,10 @@ PRUNE_EVERY = 200
 """Steps between removals of Gaussians."""
 NEAREST_EXPOSURES = 2
 """A held-out view takes the exposure of this many nearest training views."""
-REFINE_FROM, ANEW, MAX_ANEW = 0.1, 0.0017, 1
+REFINE_FROM, ANEW, MAX_ANEW, BETTER = 0.1, 0.0017, 1, 1.02
 """The fraction of the steps after which cameras are refined; how far they may have moved when the coarse steps end, in
-radians and median depths, before all begins anew from them; and how often it does. 0.0017 are 0.1 degrees."""
+radians and median depths, before all begins anew from them; how often it does; and how many times as many pixels stereo
+must agree in by them, or else those that were given are kept. 0.0017 are 0.1 degrees."""
 
 
 class InitialScene(NamedTuple):
@@ -57,6 +58,7 @@ class InitialScene(NamedTuple):
 
     gaussians: InitialGaussians
     free_space: FreeSpace | None = None
+    confirmed: float = 0.0  # fraction of the pixels whose depth by stereo another view confirms
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class FitLoop:
     def _begin(self, start: InitialScene) -> None:
         """Begin at the first step, with the cameras as they are now."""
         cameras = self.cameras if self.begun else self.given
-        initial, self.free_space = start
+        initial, self.free_space, self.confirmed = start
         depth = float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.nearest, refine = NEAREST * depth, self.options.refine
         self.refined = None if refine == "none" else RefinedCameras(cameras, depth, lenses=refine == "lenses")
@@ -361,16 +363,24 @@ class FitLoop:
         return self.options.num_steps + (self.options.final_steps if self.heldout else 0)
 
     def _begins_anew(self) -> bool:
-        """Once the coarse steps end, begin with depths by better cameras if those that were given have moved far."""
+        """Once the coarse steps end, begin anew with cameras that moved far; without them if no more depths agree."""
         if self.refined is None or self.initial is None or self.begun > MAX_ANEW:
             return False
         coarse = math.ceil(self.options.half_resolution * self.options.num_steps)
         if self.step != coarse or self.refined.moved(self.training) < ANEW:
             return False
         moved = difference(self.refined.given.select(self.training), self.cameras.select(self.training))
-        logger.info("cameras moved by %.2f° and %.1f%% of their radius: the fit begins anew", moved[0], 100 * moved[1])
-        self._begin(self.initial(self.cameras, self.training, self.training))
-        return True
+        start = self.initial(self.cameras, self.training, self.training)
+        better = start.confirmed > BETTER * self.confirmed
+        shares = 100 * start.confirmed, 100 * self.confirmed
+        logger.info("cameras moved by %.2f° and %.1f%% of their radius", moved[0], 100 * moved[1])
+        then = "the fit begins anew from them" if better else "those that were given are kept"
+        logger.info("stereo agrees in %.1f%% of the pixels, before in %.1f%%: %s", *shares, then)
+        if better:
+            self._begin(start)
+        else:
+            self.given, self.refined = self.refined.given, None
+        return better
 
     def _align_heldout(self, refined: RefinedCameras) -> None:
         """Refine the cameras of views held out, against the scene as it is."""
@@ -390,7 +400,7 @@ class FitLoop:
             for view in self.heldout:
                 self.exposures.values[view] = self.exposures.of(view)
         if self.initial is not None:
-            added, self.free_space = self.initial(self.cameras, range(len(self.images)), self.heldout)
+            added, self.free_space, _ = self.initial(self.cameras, range(len(self.images)), self.heldout)
             new = _round_gaussians(added, self.options.degree)
             together = Gaussians.cat([self.gaussians().detach(), new], dim=1)
             self.splats = _parameters(together, torch.cat([self.splats.units, added.footprints]))
@@ -454,7 +464,9 @@ class FitLoop:
         if state["free_space"] is not None:
             surfaces, *cameras = state["free_space"]
             self.free_space = FreeSpace(surfaces, Cameras(*cameras))
-        if self.refined is not None:
+        if state["refined"] is None:
+            self.refined = None
+        elif self.refined is not None:
             self.refined.load_state_dict(state["refined"])
 
 
