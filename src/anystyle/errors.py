@@ -25,7 +25,7 @@ def listing(items: Sequence[object], most: int = 10) -> str:
 
 def did_you_mean(word: str, words: Iterable[str]) -> str:
     """``Did you mean 'this'?`` with a leading space where a known word is near, else nothing."""
-    near = difflib.get_close_matches(word, list(words), n=1, cutoff=0.6)
+    near = difflib.get_close_matches(word, list(words), n=1, cutoff=0.65)
     return f" Did you mean '{near[0]}'?" if near else ""
 
 

@@ -106,6 +106,8 @@ MISTYPED = {
     "loss.style.weigt=1": "'loss.style.weigt': Key 'weigt' is no option of loss. Did you mean 'weight'?",
     "vews.take=3": "'vews.take': Key 'vews' is unknown. Did you mean 'views'?",
     "foo=3": "'foo': Key 'foo' is unknown. --cfg job shows all there are",
+    "lerning_rate=3": "'lerning_rate': Key 'lerning_rate' is unknown. --cfg job shows all there are",
+    "losses=foo": "'losses': Key 'losses' is unknown. Did you mean 'loss'?",
     "seed=abc": "seed=abc: expected a number",
     "trainer.max_steps=ten": "trainer.max_steps=ten: expected a number",
     "injector=lora injector.rank=four": "injector.rank=four: expected a number",

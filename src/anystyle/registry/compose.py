@@ -140,7 +140,7 @@ def check_choices(words: Sequence[str]) -> None:
         return
     files = [file for folder in (paths.CONF, *preset_folders(), *own) for file in folder.rglob("*.yaml")]
     roots = "".join(file.read_text("utf-8") for file in paths.CONF.glob("*.yaml"))
-    written = "\n".join((lines, *(file.read_text("utf-8", "replace") for file in files)))
+    written = re.sub("#.*", "", "\n".join((lines, *(file.read_text("utf-8", "replace") for file in files))))
     top = {*re.findall(r"^\w+(?=:)", written, re.MULTILINE), *groups(), *OPTIONS, "hydra"}
     named = top | {*re.findall(r"\w+(?=:)|(?<=@)\w+", written)}
     for key, _, value in (word.partition("=") for word in words if "=" in word):
