@@ -6,7 +6,7 @@
 # twin lift the same pixel at (u, v): centres at integers, as in OpenCV. Both take the same intrinsics.
 # Seen: depth of the plane z = 1 + x, rendered by the one and lifted by the other with one matrix, 60 x 40 pixels,
 # 40 pixels of focal length: points off the plane by 0.0162 on average, all to one side; 0.0000 with 0.5 taken from the
-# principal point for the second. No word in either's page, and no warning.
+# principal point for the second. No warning.
 set -euo pipefail
 cd "$(mktemp -d)"
 python3 -m venv env

@@ -158,7 +158,7 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
             trainer.fit(training, datamodule=data, ckpt_path=path, weights_only=resumed is not None or None)
         except DistBackendError as error:
             raise UserError("another process of this training has ended; its own message says why") from error
-        except Exception as error:  # whatever came of numbers that are not finite: the guard knows a better line
+        except Exception as error:  # where a value is not finite, any operation may raise before the guard's own line
             if guard.refusal not in (None, error):
                 raise guard.refusal from error
             strange = isinstance(error, (RuntimeError, KeyError, TypeError, AttributeError))
