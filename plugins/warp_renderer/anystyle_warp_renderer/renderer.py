@@ -14,7 +14,7 @@ from anystyle.geometry.projection import ProjectedGaussians
 from anystyle.renderers.rasterizer import at_least_single, composite
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
-from anystyle_warp_renderer.tiles import Tiles, imported
+from anystyle_warp_renderer.tiles import TileLists, imported
 
 
 @dataclass(kw_only=True, eq=False)
@@ -43,7 +43,7 @@ class WarpRenderer(TorchRenderer):
     def blend_view(
         self, splats: ProjectedGaussians, payload: Float[Tensor, "n 4"], size: tuple[int, int]
     ) -> Float[Tensor, "5 H W"]:
-        image = _Blending.apply(_shapes(splats), payload.float(), Tiles.of(splats, size, self.alpha_cap))
+        image = _Blending.apply(_shapes(splats), payload.float(), TileLists.of(splats, size, self.alpha_cap))
         assert isinstance(image, Tensor)
         return image.to(payload.dtype)
 
@@ -51,13 +51,13 @@ class WarpRenderer(TorchRenderer):
     def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView:
         with torch.autocast(gaussians.means.device.type, enabled=False):
             splats, payload = self.project_view(*at_least_single(gaussians, camera), 0, 0)
-            tiles = Tiles.of(splats, camera.size, self.alpha_cap)
+            tiles = TileLists.of(splats, camera.size, self.alpha_cap)
         return _Linear(splats, payload.float(), tiles, gaussians.means.shape[1], self.background)
 
 
 class _Blending(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, shapes: Tensor, payload: Tensor, tiles: Tiles) -> Tensor:
+    def forward(ctx: Any, shapes: Tensor, payload: Tensor, tiles: TileLists) -> Tensor:
         image, last = tiles.blend(shapes, payload)
         ctx.save_for_backward(shapes, payload, image, last)
         ctx.tiles = tiles
@@ -78,7 +78,7 @@ class _Linear(LinearView):
         self,
         splats: ProjectedGaussians,
         payload: Float[Tensor, "n 4"],
-        tiles: Tiles,
+        tiles: TileLists,
         number: int,
         background: tuple[float, float, float],
     ) -> None:

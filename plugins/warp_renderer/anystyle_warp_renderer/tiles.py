@@ -41,7 +41,7 @@ def imported() -> ModuleType:
 
 
 @dataclass(frozen=True, eq=False)
-class Tiles:
+class TileLists:
     """The Gaussians that each tile of one view shows.
 
     Args:
@@ -58,7 +58,7 @@ class Tiles:
 
     @classmethod
     @torch.no_grad()
-    def of(cls, splats: ProjectedGaussians, size: tuple[int, int], cap: float) -> "Tiles":
+    def of(cls, splats: ProjectedGaussians, size: tuple[int, int], cap: float) -> "TileLists":
         """The tiles that the rectangle around each Gaussian of a view touches; read back is how many there are."""
         rows, columns = (-(-side // TILE) for side in size)
         largest = splats.means.new_tensor([columns - 1, rows - 1])

@@ -49,11 +49,11 @@ warp.values[0]()(gaussians(1, 5), cameras(1, 1, (4, 4)))
 def test_tiles_list_what_they_show_nearest_first() -> None:
     """Every Gaussian in every tile in which a pixel of it is seen."""
     pytest.importorskip("warp")
-    from anystyle_warp_renderer.tiles import TILE, Tiles
+    from anystyle_warp_renderer.tiles import TILE, TileLists
 
     size, renderer = (3 * TILE + 3, 2 * TILE + 1), WARP()
     splats, _ = renderer.project_view(gaussians(1, 60), cameras(1, 1, size), 0, 0)
-    tiles = Tiles.of(splats, size, 0.999)
+    tiles = TileLists.of(splats, size, 0.999)
     rows, columns = torch.meshgrid(*(torch.arange(side) for side in size), indexing="ij")
     away = torch.stack([columns, rows], -1) + 0.5 - splats.means[:, None, None]
     xx, xy, yy = splats.conics[:, None, None].unbind(-1)
