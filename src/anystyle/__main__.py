@@ -8,7 +8,7 @@ import sys
 from anystyle.errors import UserError, did_you_mean
 from anystyle.paths import PACKAGE
 
-COMMANDS = ("stylize", "film", "export", "train", "evaluate", "plugins", "weights")
+COMMANDS = ("stylize", "film", "train", "evaluate", "plugins", "weights")
 _HELP = """\
 usage: anystyle COMMAND ...
 

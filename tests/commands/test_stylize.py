@@ -12,13 +12,13 @@ from PIL import Image
 from plyfile import PlyData
 
 from anystyle.commands import film, stylize
-from anystyle.commands.export import export, parser
 from anystyle.errors import UserError
 from anystyle.formats import Ply
 from anystyle.io.atomic import folder_lock
 from anystyle.io.video import write_video
 from anystyle.pipeline.saved import read_saved
 from anystyle.stylizer import Stylizer
+from anystyle_formats.command_export import export, parser
 from anystyle_formats.html import Html
 from anystyle_formats.splat import Splat
 

@@ -152,13 +152,9 @@ def test_command_is_understood(page, line):
     if command == "study":
         _study(*rest)
         return
-    if command in ("app", "view"):
-        plugins = {
-            "app": "app.command",
-            "view": "viewer.command",
-        }
-        module = f"anystyle_{plugins[command]}"
-        split(importlib.import_module(module).parser(), rest)
+    plugins = {"app": "app.command", "view": "viewer.command", "export": "formats.command_export"}
+    if command in plugins:
+        split(importlib.import_module(f"anystyle_{plugins[command]}").parser(), rest)
         return
     if command == "benchmark":
         if rest:

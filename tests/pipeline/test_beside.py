@@ -7,13 +7,14 @@ import pytest
 import torch
 from plyfile import PlyData, PlyElement
 
-from anystyle.commands import export, film, stylize
+from anystyle.commands import film, stylize
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.pipeline.beside import cameras_beside, with_stored_cameras
 from anystyle.pipeline.options import SplatOptions
 from anystyle.pipeline.request import SavedScene, inputs_of
 from anystyle.pipeline.saved import read_saved, read_unturned
+from anystyle_formats.command_export import export, parser
 from tests.pipeline.test_saved import RENDERER, transforms
 from tests.support.known_scene import photographed_wall, wall
 
@@ -85,7 +86,7 @@ def test_a_run_of_3dgs_is_a_scene_with_its_cameras(run, tmp_path):
     assert sorted(beside) == ["IMG_0", "IMG_2"]  # a result's file has the cameras of its folder
     film.main([str(run), "--out", str(tmp_path / "film.mp4"), "video.frames=2", "video.height=32"])
     assert (tmp_path / "film.mp4").stat().st_size
-    export.export(export.parser().parse_args([str(run), "--out", str(tmp_path / "again.ply")]))
+    export(parser().parse_args([str(run), "--out", str(tmp_path / "again.ply")]))
     assert len(PlyData.read(tmp_path / "again.ply")["vertex"].data) == wall().means.shape[1]
 
 

@@ -18,10 +18,10 @@ from filelock import FileLock, Timeout
 from anystyle.errors import UserError, listing, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json
-from anystyle.io.process import kill
 from anystyle.io.record import commit, versions
 from anystyle_benchmark.environment import interpreter, last_line
 from anystyle_benchmark.job import SECONDS, WEIGHTS, AskedStyle, Job, Seconds
+from anystyle_benchmark.process import kill
 from anystyle_benchmark.results import Cell, Origin, Record, is_done, wrong_images
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry

@@ -20,7 +20,6 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
 from anystyle.io.limits import require
-from anystyle.methods.order import canonical_order
 from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Cameras, Geometry, OnProgress, Reconstructed, Scene, Views, no_progress
@@ -34,6 +33,7 @@ from anystyle_captures.poses import report
 from anystyle_captures.sky import without_sky
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.twins import groups, held_out
+from anystyle_methods.order import canonical_order
 
 logger = logging.getLogger(__name__)
 

@@ -17,7 +17,6 @@ from PIL import Image
 from anystyle.contracts import PosedViews, PoseEstimator, Verdict
 from anystyle.data.folder import as_views, common_size, cover, require_views, tell_of_cut
 from anystyle.geometry.transforms import Similarity
-from anystyle.methods.order import canonical_order
 from anystyle.types import Cameras, OnProgress, Original, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.panorama import Cut, cut_of
@@ -31,6 +30,7 @@ from anystyle_captures.sfm.model import (
     SparseModel,
 )
 from anystyle_captures.sfm.trust import judge
+from anystyle_methods.order import canonical_order
 
 logger = logging.getLogger(__name__)
 

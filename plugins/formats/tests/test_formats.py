@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from anystyle.cli.arguments import split
-from anystyle.commands import export as command
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
@@ -21,6 +20,7 @@ from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
 from anystyle.types.scene import AXES
 from anystyle.vision.weights import License, licenses
+from anystyle_formats import command_export as command
 from anystyle_formats.html import _packed
 from anystyle_formats.packing import codebook, smallest_three
 from anystyle_formats.sog import palette
@@ -201,6 +201,20 @@ def test_three_of_four_components_are_a_rotation():
     unit = torch.nn.functional.normalize(torch.randn(100, 4, generator=torch.Generator().manual_seed(0)), dim=1)
     again = from_smallest_three(*smallest_three(unit.double().numpy()))
     np.testing.assert_allclose(np.abs((again * unit.numpy()).sum(1)), 1, atol=1e-6)
+
+
+def test_the_command_merges_gaussians_and_says_so(tmp_path, caplog):
+    export(scene(), tmp_path / "scene.ply", "ply")
+    words = [str(tmp_path / "scene.ply"), "--out", str(tmp_path / "few.ply"), "--max-gaussians"]
+    command.export(*split(command.parser(), [*words, "100", "splat.cameras=4"]))
+    assert "kept 100 of 400 Gaussians (merged)" in caplog.text
+    few = Gaussians.load(tmp_path / "few.ply")
+    assert few.means.shape[1] == 100 and few.harmonics.shape[2] == 4
+    assert psnr(picture(few), picture(scene())) > 20
+    command.export(*split(command.parser(), [*words, "1000", "splat.cameras=4"]))
+    assert psnr(picture(Gaussians.load(tmp_path / "few.ply")), picture(scene())) > 80
+    with pytest.raises(UserError, match="max_gaussians"):
+        command.export(*split(command.parser(), [*words, "0"]))
 
 
 def test_the_command_converts_a_file_and_refuses_what_makes_no_sense(tmp_path, capsys):

@@ -13,7 +13,6 @@ import pytest
 import torch
 from plyfile import PlyData
 
-from anystyle.commands import export as command
 from anystyle.commands import stylize
 from anystyle.contracts import Format
 from anystyle.errors import UserError
@@ -23,6 +22,7 @@ from anystyle.pipeline.options import SplatOptions
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
+from anystyle_formats import command_export as command
 from tests.support.export_readers import SPLAT_TRANSFORM
 from tests.support.export_scene import LEAST, export, picture, psnr, scene
 

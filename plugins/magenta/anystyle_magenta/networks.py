@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.nn.words import WordTable
+from anystyle_magenta.words import WordTable
 
 STYLE_DIM = 100
 """Length of a style vector."""

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.nn.words import clean
 from anystyle.vision import weights
 from anystyle_magenta.pretrained import GUESSES, SENTENCES
+from anystyle_magenta.words import clean
 
 ASSETS = Path(__file__).parent / "assets"
 SHARPNESS, NEARNESS = 6.0, 20.0

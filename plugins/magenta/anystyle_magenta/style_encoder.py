@@ -13,11 +13,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import StyleEncoder
-from anystyle.nn.words import clean
 from anystyle.types import TextMatch, Tokens
 from anystyle.vision.weights import find, published
 from anystyle_magenta.networks import SIDE, STYLE_DIM, StylePrediction, TextTower
 from anystyle_magenta.pretrained import GUESSES, SENTENCES, load_prediction, load_text_tower, words_installed
+from anystyle_magenta.words import clean
 
 FILE = Path(__file__).parent / "assets" / "descriptions.txt"
 """Texts whose words, all together, are those that the bundled text tower learnt; one per line."""

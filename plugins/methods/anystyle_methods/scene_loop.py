@@ -15,10 +15,10 @@ from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.losses.features import objective
 from anystyle.methods.colors import KEPT
 from anystyle.methods.gaussian_parameters import GaussianParameters
-from anystyle.methods.order import canonical_order
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization
 from anystyle.types.progress import OnProgress, Progress
+from anystyle_methods.order import canonical_order
 
 FLOOR = 1e-6  # least variance, so that the square root of a covariance is invertible
 

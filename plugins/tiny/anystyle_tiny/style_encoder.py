@@ -9,9 +9,9 @@ from kornia.color import rgb_to_grayscale
 from torch import Tensor, nn
 
 from anystyle.contracts import StyleEncoder
-from anystyle.nn.words import WordTable
 from anystyle.vision.statistics import pooled_moments
 from anystyle.vision.vgg import Texture
+from anystyle_magenta.words import WordTable
 
 TAPS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
 TAP_CHANNELS = (32, 64, 96, 128)

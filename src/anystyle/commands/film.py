@@ -21,7 +21,7 @@ from anystyle.pipeline.film import Film
 from anystyle.pipeline.load import default_device
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.request import file_of
-from anystyle.pipeline.saved import PAINTED, cameras_of, made_at, read_unturned
+from anystyle.pipeline.saved import PAINTED, cameras_of, made_at, read_unturned, tidied
 from anystyle.registry.build import build
 from anystyle.registry.compose import options
 from anystyle.types import Cameras, SourceImage
@@ -70,7 +70,7 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     if arguments.style not in (None, *titles):
         raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")
     title = arguments.style or titles[-1]
-    gaussians = dict(saved.styles)[title].to(default_device())
+    gaussians = tidied(dict(saved.styles)[title], saved.cameras, render, splat).to(default_device())
     saved, out = replace(saved, styles=((title, gaussians),)), job_folder(arguments.out)
     print(f"film {video.line(saved.cameras)} …", file=sys.stderr, flush=True)
     if out.suffix.lower() == ".mp4":

@@ -143,6 +143,7 @@ class SplatOptions:
             ``-z``; ``None`` is what the file says, or else its format. Results are in OpenCV's axes.
         activated: Whether a file holds lengths and opacities in [0, 1] where its format has logarithms and logits.
         antialiased: Whether it was trained with antialiasing, by which opacities are lowered; ``None`` is what it says.
+        max_gaussians: Merge it into at most so many Gaussians, where that shows least from its cameras.
     """
 
     cameras: Annotated[int, Range(ge=1, le=1 << 16)] = 24
@@ -150,6 +151,7 @@ class SplatOptions:
     up: str | None = None
     activated: bool = False
     antialiased: bool | None = None
+    max_gaussians: AtLeastOne | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "up", named_axes("splat.up", self.up))

@@ -24,6 +24,7 @@ from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render, pixels_shown
+from anystyle.methods.simplify import simplified
 from anystyle.paths import short_names
 from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
 from anystyle.pipeline.export import in_axes, turn
@@ -213,8 +214,18 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
         multiple, renderer = stylizer.backbone.patch_size, stylizer.renderer
         cameras, sources, origin = cameras_of(path, saved, views, options, renderer, multiple, side, given.up)
         made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
-    file = path if path.is_file() and given.up == "opencv" and not options.activated else None
-    return ReadSplat(unstyled_of(saved), cameras, sources, origin, file, given.notes, made_of, saved.offset)
+        gaussians = tidied(whole := unstyled_of(saved), cameras, renderer, options)
+    copied = path.is_file() and given.up == "opencv" and not options.activated and gaussians is whole
+    file = path if copied else None
+    return ReadSplat(gaussians, cameras, sources, origin, file, given.notes, made_of, saved.offset)
+
+
+def tidied(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, options: SplatOptions) -> Gaussians:
+    """Gaussians merged into fewer, as options ask; a line says what was done."""
+    if options.max_gaussians is not None:
+        count, gaussians = gaussians.means.shape[1], simplified(gaussians, cameras, renderer, options.max_gaussians)
+        _log.warning("kept %s of %s Gaussians (merged)", f"{gaussians.means.shape[1]:,}", f"{count:,}")
+    return gaussians
 
 
 def cameras_of(

@@ -3,7 +3,7 @@ import sys
 
 import psutil
 
-from anystyle.io.process import kill
+from anystyle_benchmark.process import kill
 
 PARENT = "import subprocess, sys; print(subprocess.Popen([sys.executable, '-c', 'input()']).pid); input()"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from anystyle.nn.words import clean, hash_words
+from anystyle_magenta.words import clean, hash_words
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A scene as a file that other programs read, or as one page for a browser."""
+"""``anystyle export``: a scene in another format, of fewer Gaussians where that is asked for."""
 
 import argparse
 from collections.abc import Sequence
@@ -6,8 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, split
-from anystyle.cli.run import run, words_of
+from anystyle.contracts import Command, Renderer
 from anystyle.errors import UserError
+
+
+class Export(Command):
+    """A scene as a file that other programs read, or as one page for a browser."""
+
+    def __call__(self, words: Sequence[str]) -> None:
+        export(*split(parser(), list(words)))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -20,14 +27,17 @@ def parser() -> argparse.ArgumentParser:
     add("--out", type=Path, required=True, help="the file to write")
     add("--up", choices=axes, help="what is up in the file (default: what readers of the format expect)")
     add("--from-up", choices=axes, help="what is up in another program's (default: what it says, or else its format)")
+    add("--max-gaussians", type=int, metavar="N", help="merge it into at most so many, where that shows least")
     return words
 
 
 def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None:
     """Run the command; overrides are of the options ``splat``."""
-    from anystyle.pipeline.export import export_styles
-    from anystyle.pipeline.options import SplatOptions, named_axes
-    from anystyle.pipeline.saved import read_saved
+    from anystyle.pipeline.export import export_styles, in_axes
+    from anystyle.pipeline.options import SplatOptions, ViewOptions, named_axes
+    from anystyle.pipeline.request import file_of
+    from anystyle.pipeline.saved import PAINTED, cameras_of, read_unturned, tidied
+    from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog
     from anystyle.registry.compose import only_options
 
@@ -42,11 +52,17 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
             "a folder of results is in OpenCV's axes; --from-up and splat.KEY=VALUE are for files of others"
         )
     splat = only_options("splat", overrides) if overrides else SplatOptions()
-    saved = read_saved(arguments.scene, replace(splat, up=arguments.from_up or splat.up))
-    saved = replace(saved, title=arguments.scene.resolve().stem)
+    splat = replace(
+        splat,
+        up=arguments.from_up or splat.up,
+        max_gaussians=splat.max_gaussians if arguments.max_gaussians is None else arguments.max_gaussians,
+    )
+    given = read_unturned(arguments.scene, splat)
+    saved = replace(in_axes("opencv", given), title=arguments.scene.resolve().stem)
+    if splat.max_gaussians is not None:
+        renderer, path = build(Renderer, "auto"), file_of(arguments.scene)
+        cameras, *_ = cameras_of(path, saved, ViewOptions(), splat, renderer, 1, PAINTED, given.up)
+        styles = tuple((title, tidied(each, cameras, renderer, splat)) for title, each in saved.styles)
+        saved = replace(saved, styles=styles)
     size = export_styles(saved, arguments.out, name, up=named_axes("--up", arguments.up))
     print(f"{arguments.out}: {size / 1e6:.2f} MB, {saved.styles[-1][0]}")
-
-
-if __name__ == "__main__":
-    run(lambda: export(*split(parser(), words_of(None))))
