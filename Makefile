@@ -26,14 +26,12 @@ demo: setup
 	$(BIN)/anystyle stylize out/demo --image example:wave --image example:scream method=brush \
 		--export html --open --out out/demo-strokes
 
-# Minutes: two scenes, three styles, three methods, judged, compared and shown. It says whether the benchmark runs.
+# Minutes: two scenes, three styles, three methods, judged and compared. It says whether the benchmark runs.
 benchmark-smoke: RESULTS = out/benchmark-smoke
 benchmark-smoke: setup
 	$(BIN)/anystyle benchmark run track=smoke methods=[photographs,branch,brush] seeds=0 out=$(RESULTS)
 	$(BIN)/anystyle benchmark judge $(RESULTS)
 	$(BIN)/anystyle benchmark compare $(RESULTS) branch brush
-	$(BIN)/anystyle benchmark site $(RESULTS) --out $(RESULTS)/site
-	@echo "open $(RESULTS)/site/index.html"
 
 # The methods that a branch adds or changes, run on the track and judged beside those of its stored edition.
 benchmark-methods: BASE = origin/main
@@ -44,8 +42,7 @@ benchmark-methods: setup
 	methods=$$(git diff --name-only --diff-filter=d $(BASE)... -- $(METHODS) | sed 's|^$(METHODS)/||; s|[./].*||' | sort -u | paste -sd,) && \
 	if [ -z "$$methods" ]; then echo "no method of $(METHODS) differs from $(BASE)"; exit 0; fi && \
 	$(BIN)/anystyle benchmark run track=$(TRACK) "methods=[$$methods]" out=$(RESULTS) && \
-	$(BIN)/anystyle benchmark judge $(RESULTS) $(addprefix --beside ,$(BESIDE)) && \
-	$(BIN)/anystyle benchmark site $(RESULTS) --out $(RESULTS)/site
+	$(BIN)/anystyle benchmark judge $(RESULTS) $(addprefix --beside ,$(BESIDE))
 
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -20,7 +21,7 @@ from anystyle.cli.run import message, run
 from anystyle.contracts import Placement
 from anystyle.errors import MissingExtra, UserError
 from anystyle.registry.build import build
-from anystyle.registry.compose import compose, override
+from anystyle.registry.compose import ELSEWHERE, check_choices, compose, override
 
 ROOT = """
 defaults: [{placement: head}, _self_, {override hydra/job_logging: none}, {override hydra/hydra_logging: none}]
@@ -112,12 +113,16 @@ MISTYPED = {
     "trainer.max_steps=ten": "trainer.max_steps=ten: expected a number",
     "injector=lora injector.rank=four": "injector.rank=four: expected a number",
     "loss.style.weight=much": "loss.style.weight=much: expected a number",
+    "precision=fp17": "precision=fp17: choose one of auto, fp32, bf16, reference",
+    "trainer.precision=fp16": "trainer.precision=fp16: choose one of 32-true, 64-true, 16-true, ",
+    "resume=alwys": "resume=alwys: choose one of auto, never, changed",
+    "reconstruction.quality=foo": "reconstruction.quality=foo: choose one of draft, good, best, full",
     "-cd own styles=foldr": "'styles/foldr'. Did you mean 'folder'?",
     "hydra.searchpath=[file://own] styles=minee": "'styles/minee'. Did you mean 'mine'?",
 }
 
 
-def test_mistyped_keys_are_answered_before_torch_is_imported(tmp_path):
+def test_mistyped_words_are_answered_before_torch_is_imported(tmp_path):
     (tmp_path / "own" / "styles").mkdir(parents=True)
     (tmp_path / "own" / "styles" / "mine.yaml").write_text("defaults: [folder]\n")
     code = (
@@ -130,6 +135,37 @@ def test_mistyped_keys_are_answered_before_torch_is_imported(tmp_path):
     assert done.stdout == "False\n"
     for line, told in zip(done.stderr.splitlines(), MISTYPED.values(), strict=True):
         assert told in line
+
+
+def test_choices_that_are_known_before_torch_are_those_of_their_options():
+    from lightning.fabric.plugins.precision.precision import _PRECISION_INPUT
+
+    from anystyle.pipeline.load import PRECISIONS
+    from anystyle.training.trainer import RANGES
+
+    known = dict(ELSEWHERE["choices"])
+    assert {str(word) for each in get_args(_PRECISION_INPUT) for word in get_args(each)} == {
+        *known["trainer.precision"]
+    }
+    assert known["precision"] == [*PRECISIONS]
+    for key in ("resume", "checkpoint.mode"):
+        assert known[key] == [*get_args(RANGES[key])]
+
+
+@pytest.mark.parametrize(
+    "words", ["precision=bf16", "trainer.precision=16-Mixed", "resume=auto,never", "precision=null"]
+)
+def test_words_that_may_be_right_are_left_to_hydra(words):
+    check_choices([words])
+
+
+def test_stylize_answers_a_mistyped_word_before_torch_is_imported():
+    code = (
+        "import sys; from anystyle.commands.stylize import main\n"
+        "try: main(['photos/', '--text', 'seed=1', 'seed=abc'])\nfinally: print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "False\n" and "seed=abc: expected a number" in done.stderr
 
 
 def test_help_lists_every_command_that_exists():

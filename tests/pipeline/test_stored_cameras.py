@@ -72,6 +72,8 @@ UNREAD = {
     "images/cameras.sfm": "Meshroom's; aliceVision_exportColmap", "sfm.json": "Meshroom's; aliceVision_exportColmap",
     "opensfm/reconstruction.json": "OpenSfM's; opensfm export_colmap",
     "images/out/sfm_data.json": "OpenMVG's; openMVG_main_openMVG2Colmap", "project.psx": "Metashape; File > Export >",
+    "shots.xml": "Metashape's; export a COLMAP model, or ns-process-data metashape --data PHOTOS --xml FILE",
+    "keyframes/corrected_cameras/1.json": "Polycam's raw data; ns-process-data polycam --data FOLDER",
     "database.db": "COLMAP's features without a model; colmap mapper", "images.bin": "half of a COLMAP model; copy its",
     "images/0000.xmp": "RealityScan's; export a COLMAP model",
     "images/found/transforms.json": "there are cameras in .*; poses=known poses_from=.*transforms.json uses them",
@@ -81,9 +83,10 @@ UNREAD = {
 @pytest.mark.parametrize(("file", "words"), UNREAD.items())
 def test_cameras_that_are_not_read_are_named_with_what_to_do(capture, caplog, file, words):
     (capture / "sparse").rename(capture.parent / f"{capture.name} elsewhere")
-    (capture / file).parent.mkdir(exist_ok=True)
+    (capture / file).parent.mkdir(exist_ok=True, parents=True)
+    (capture / "notes.xml").write_text("<document><page/></document>")
     (capture / "images" / "0001.xmp").write_text("<rdf:Description crs:Version='16.0'/>")  # a photograph's development
-    (capture / file).write_text('{"xmlns:xcr": "http://www.capturingreality.com/ns/xcr/1.1#"}')
+    (capture / file).write_text('{"xmlns:xcr": "http://www.capturingreality.com/ns/xcr/1.1#", "a": "<sensors>"}')
     assert _stored_beside([capture / "images"], PoseOptions("auto")) == {}
     assert re.search(words, caplog.text) and len(caplog.records) == 1 and str(capture / file) in caplog.text
     views, sources = read_views([capture / "images"], short_side=28, multiple=14, max_views=8)

@@ -12,7 +12,6 @@ SUBCOMMANDS = {
     "judge": "compute the scores of results; --check verifies a folder of images without judging",
     "compare": "which methods differ significantly",
     "ladder": "how the metrics order known distortions of a method's results",
-    "site": "a static site of tables and pictures",
 }
 
 

@@ -1,4 +1,4 @@
-"""The layout of a folder of results: what ``run`` writes, and ``judge`` and ``site`` read.
+"""The layout of a folder of results: what ``run`` writes, and ``judge`` and ``compare`` read.
 
 ::
 

@@ -111,10 +111,3 @@ def cost(cells: Sequence[CellFigures]) -> float | None:
     """Mean CPU seconds of a further style."""
     seconds = [cell.seconds for cell in cells if cell.seconds is not None]
     return fmean(seconds) if seconds else None
-
-
-def scene_cost(cells: Sequence[CellFigures]) -> float | None:
-    """Mean CPU seconds of what is done once per scene; ``None`` where that is not known of any."""
-    timed = [cell for cell in cells if cell.seconds is not None]
-    scenes = {(cell.seed, cell.scene): cell.scene_seconds for cell in timed if cell.scene_seconds is not None}
-    return fmean(scenes.values()) if scenes else None

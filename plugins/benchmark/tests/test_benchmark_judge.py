@@ -11,11 +11,9 @@ from PIL import Image
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.types import Comparison, Style
-from anystyle_benchmark import command_site
 from anystyle_benchmark import judge as judging
 from anystyle_benchmark.command_judge import main
-from anystyle_benchmark.results import Cell, CellFigures, Figures, Record
-from anystyle_benchmark.statistics import cost, scene_cost
+from anystyle_benchmark.results import Cell, Figures, Record
 from anystyle_benchmark.track import Inputs
 from tests.support.benchmark_world import write_cell
 
@@ -157,9 +155,6 @@ def test_methods_that_were_judged_elsewhere_are_shown_beside_as_if_judged_togeth
     for name in ("cells", "scenes", "table"):
         rows = [sorted(map(repr, getattr(one, name))) for one in (found, whole)]
         assert rows[0] == rows[1]
-    command_site.main([str(alone), "--track", str(track), "--out", str(alone / "site")])
-    assert {path.parent.parent.name for path in (alone / "site" / "cells").rglob("*.avif")} == {"pasted"}
-    assert "its images are not in alone" in (alone / "site" / "figures.js").read_text()
     others = msgspec.structs.replace(whole.metrics["kid"], weights={"network.bin": "0"})
     monkeypatch.setattr(judging.Judge, "__call__", lambda *args: pytest.fail("judged in vain"))
     changes = {"metrics": whole.metrics | {"kid": others}}, {"track": msgspec.structs.replace(whole.track, digest="0")}
@@ -210,15 +205,3 @@ def test_slips_are_one_line(world, tmp_path, words, message):
     places = {"TRACK": str(track), "RESULTS": str(results), "DIR": str(tmp_path), "OTHER": str(other / "track.toml")}
     with pytest.raises(UserError, match=message):
         main([places.get(word, word.replace("DIR", str(tmp_path))) for word in words])
-
-
-def test_seconds_of_a_style_and_of_a_scene_are_apart():
-    def cell(scene: str, style: str, seconds: float | None, once: float | None) -> CellFigures:
-        return CellFigures("m", 0, scene, style, "image", "done", "", seconds, once)
-
-    first = [cell("one", "a", 1.0, 60.0), cell("one", "b", 3.0, 60.0), cell("two", "a", 2.0, 20.0)]
-    assert (cost(first), scene_cost(first)) == (2.0, 40.0)
-    shared = [cell("one", "a", 1.0, None), cell("two", "a", 5.0, None)]  # fits of another method
-    assert (cost(shared), scene_cost(shared)) == (3.0, None)
-    failed = [cell("one", "a", None, 0.0)]
-    assert (cost(failed), scene_cost(failed)) == (None, None)

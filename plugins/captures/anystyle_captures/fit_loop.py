@@ -181,7 +181,8 @@ class FitLoop:
         self.step = 0
         self.quality: Quality | None = None
         self.aligned_psnr: float | None = None
-        self.order, self.recent = list[int](), list[float]()  # views that are left of a pass; the PSNR of the last pass
+        # Views that are left of a pass; the PSNR of the last pass.
+        self.order, self.recent = list[int](), list[Tensor]()
         self.images, self.given, self.renderer, self.options = images, cameras, renderer, options
         self.heldout = heldout
         self.half_size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
@@ -195,7 +196,7 @@ class FitLoop:
         self._carve()
         self.background = background(renderer, self.gaussians(), cameras)
         self.exposures = Exposures(cameras, self.training)
-        self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
+        self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr, fused=True)
 
     @property
     def cameras(self) -> Cameras:
@@ -211,8 +212,8 @@ class FitLoop:
         """The current Gaussians, a batch of one scene."""
         return self.splats.gaussians()
 
-    def advance(self) -> float:
-        """Take one step, on one view, and return the PSNR before it."""
+    def advance(self) -> Float[Tensor, ""]:
+        """Take one step, on one view, and return the PSNR before it, which a card has not computed yet."""
         options = self.options
         fraction = self.step / options.num_steps
         fraction = options.warmth + (1 - options.warmth) * fraction
@@ -220,7 +221,8 @@ class FitLoop:
             fraction = (1 + (self.step - options.num_steps) / options.final_steps) / 2
         self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
         if not self.order:
-            self.order = [self.training[i] for i in torch.randperm(len(self.training), generator=self.generator)]
+            order = torch.randperm(len(self.training), generator=self.generator).tolist()
+            self.order = [self.training[i] for i in order]
         view = self.order.pop()
         coarse = self.step < options.half_resolution * options.num_steps
         images, masks = (self.half_images, self.half_masks) if coarse else (self.images, self.masks)
@@ -258,7 +260,7 @@ class FitLoop:
         self.step += 1
         if self.step % PRUNE_EVERY == 0 and fraction < 0.8:
             self._prune()
-        return float(psnr(color.detach(), target, measured))
+        return psnr(color.detach(), target, measured)[0]
 
     @torch.no_grad()
     def _shrink(self) -> None:
@@ -348,7 +350,7 @@ class FitLoop:
     @property
     def mean(self) -> float:
         """The mean PSNR of the last pass over the views."""
-        return sum(self.recent) / max(len(self.recent), 1)
+        return sum(map(float, self.recent)) / max(len(self.recent), 1)
 
     @property
     def last_step(self) -> int:

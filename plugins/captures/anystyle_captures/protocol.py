@@ -145,14 +145,21 @@ class Captures(Protocol):
     def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         """Judge each capture; the record of one that is finished is read."""
         records: dict[str, dict[str, Any]] = {}
+        failed: list[str] = []
         rows: list[Row] = []
         for done, path in enumerate(self.captures):
             on_progress(Progress.count("captures", done, len(self.captures)))
             name = path.parent.name if path.name == "images" else path.stem
             folder = out / "captures" / slug(name, 80)
             if not (folder / "record.json").is_file():
-                with atomic_directory(folder) as temporary:
-                    write_json(temporary / "record.json", self._judge(path, temporary))
+                try:
+                    with atomic_directory(folder) as temporary:
+                        write_json(temporary / "record.json", self._judge(path, temporary))
+                except UserError as error:
+                    if len(self.captures) == 1:
+                        raise
+                    failed.append(f"{name}: {error}")
+                    continue
             what = f"record of a capture; delete {folder}"
             record: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
             judged = {score for scores in record.get("scores", {}).values() for score in scores}
@@ -164,6 +171,9 @@ class Captures(Protocol):
                 scores = numbers(values)
                 files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
                 rows.append(Row(name, kind, scores, {what: file for what, file in files.items() if file.is_file()}))
+        if failed:
+            told = "captures cannot be judged; leave them out, and those that are done are kept"
+            raise UserError(f"{len(failed)} of {len(self.captures)} {told}; {'; '.join(failed)}")
         on_progress(Progress.count("captures", len(self.captures), len(self.captures)))
         kinds = dict.fromkeys(row.style for row in rows)
         groups = {kind: _mean([row.scores for row in rows if row.style == kind]) for kind in kinds}

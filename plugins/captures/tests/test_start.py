@@ -60,7 +60,7 @@ def test_a_scene_of_another_frame_is_aligned_by_the_cameras_of_the_same_photogra
     assert "begins with the 1089 Gaussians" in caplog.text and "aligned by 2 cameras" in caplog.text
     nearest = (start.given.means[0, :, None] - views.cameras.world_from_camera[0, :, :3, 3]).norm(dim=-1).amin(1)
     torch.testing.assert_close(start.footprints, nearest / 50)
-    with pytest.raises(UserError, match="it is of another scene or in another frame"):
+    with pytest.raises(UserError, match="of another scene or in another frame"):
         read_start(saved(tmp_path, ELSEWHERE.gaussians(wall()), there, [f"x{view}" for view in range(9)]), views)
 
 

@@ -8,13 +8,9 @@ from omegaconf import DictConfig
 
 from anystyle.cli.launch import describe, job_folder, launch
 from anystyle.cli.run import run, show, words_of
-from anystyle.io.sheet import to_pil
-from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.stylize import stylize
-from anystyle.pipeline.words import parsed, parser, request_of
+from anystyle.pipeline.flags import parsed, parser
 from anystyle.registry.catalog import catalog
 from anystyle.registry.jobs import job_overrides
-from anystyle.types import Progress
 
 _EXAMPLES = "Examples that come with anystyle, for any path of photographs or of an image:"
 
@@ -37,6 +33,12 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def job(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Stylize as one composed configuration says, and print where the results are."""
+    from anystyle.io.sheet import to_pil  # torch takes seconds, in which a mistyped word is answered
+    from anystyle.pipeline.stages import Stages
+    from anystyle.pipeline.stylize import stylize
+    from anystyle.pipeline.words import request_of
+    from anystyle.types import Progress
+
     request = request_of(arguments, job_overrides(), config)
     target = job_folder(arguments.out)
     thumbnail = target.with_name(f"{target.name}.progress.png")

@@ -68,10 +68,6 @@ class CameraReader(Pluggable, ABC):
             UserError: The file is damaged, or a lens has a model that cannot be undistorted.
         """
 
-    def photographs(self, path: Path) -> Path | None:
-        """The folder in which the program keeps the photographs of the cameras in ``path``, where it has one."""
-        return None
-
 
 @dataclass(frozen=True)
 class Verdict:

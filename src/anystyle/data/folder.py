@@ -16,7 +16,6 @@ import torch
 from PIL import Image
 
 from anystyle.data import images
-from anystyle.data.poses import readers
 from anystyle.errors import UserError, listing
 from anystyle.examples import resolved
 from anystyle.io import video
@@ -277,10 +276,8 @@ def files_of(item: Path) -> list[Path]:
     """The files that a folder, a pattern or the name of an example stands for, or the file itself."""
     item = resolved(item)
     if item.is_dir():
-        # Captures with cameras keep their photographs in a folder of that name, or where their program puts them.
-        found = ((reader, reader.find(item)) for reader in readers())
-        places = [reader.photographs(path) for reader, path in found if path is not None]
-        direct = (image_files(folder) for folder in (*places, item, item / "images") if folder and folder.is_dir())
+        # Captures with cameras keep their photographs in a folder of that name.
+        direct = (image_files(folder) for folder in (item, item / "images") if folder.is_dir())
         nested = (nested_image_files(folder) for folder in (item / "images", item, *_named_as_maps(item)))
         found = next(filter(None, chain(direct, nested)), [])
         thumbnail = len(found) == 1 and any(film.stem == found[0].stem for film in visible(item, video.SUFFIXES))

@@ -20,6 +20,8 @@ _log = logging.getLogger(__name__)
 UNREAD: Mapping[str, str] = tomllib.loads(Path(__file__).with_name("unread.toml").read_text("utf-8"))
 """Cameras that are not read, by a pattern of file names."""
 _INSIDE = ("cams", "opensfm", "pose", "poses", "sfm")
+_HOLDS = {"*.xmp": b"capturingreality", "*.xml": b"<sensors"}
+"""What tells such a file from others of its name: XMP files also say how a photograph was developed."""
 
 
 def readers() -> list[CameraReader]:
@@ -64,8 +66,8 @@ def unread(folders: Iterable[Path]) -> str | None:
             return f"there are cameras in {path}; poses=known poses_from={path} uses them"
     above = (place / name for each in given for place in (each, *each.parents[:2]) for name in ("", *_INSIDE))
     for each, (pattern, advice) in product(dict.fromkeys((*above, *inside)), UNREAD.items()):
-        # Other programs' XMP files say how a photograph was developed.
-        files = (file for file in each.glob(pattern) if file.suffix != ".xmp" or b"capturingr" in file.read_bytes())
+        holds = _HOLDS.get(pattern, b"")
+        files = (file for file in each.glob(pattern) if not holds or holds in file.read_bytes())
         if path := next(files, None):
             return f"the cameras in {path} are not read: {advice}; poses=known poses_from=PATH reads the result"
     return None

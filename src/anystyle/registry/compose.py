@@ -40,11 +40,17 @@ _DELETED = re.compile(r"Error resolving interpolation '\$\{recipe\}/\$\{(?P<grou
 _NULL = re.compile(r"(?P<group>\w+)(@\w+)?=null")
 """A word that sets what may be a group to nothing."""
 
-ELSEWHERE: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("elsewhere.toml").read_text("utf-8"))
+ELSEWHERE: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("elsewhere.toml").read_text("utf-8"))
 """Words of other programs and what to write here, by the command that they are given to."""
 
 _NUMERIC = {"int", "float", "None", "Annotated", "Optional", "Union", "ge", "le", "gt", "lt", *ranges.__all__}
 """What annotations of numbers are made of."""
+
+_LITERAL = re.compile(r"Literal\[(.+)\]( \| None)?")
+"""The annotation of a choice."""
+
+_WORD = re.compile(r"(?!null$)[\w-]+", re.IGNORECASE)
+"""A value that is one word, and no interpolation or sweep."""
 
 _TEXT = re.compile(r"(?!(null|none|true|false|inf|nan|yes|no|on|off)$)[a-z]\w*", re.IGNORECASE)
 """A value that is no number, and in no way a sweep or an interpolation."""
@@ -133,6 +139,7 @@ def check_choices(words: Sequence[str]) -> None:
 
     Folders of one's own are read; where another root is given, or a package of configurations, it is left to Hydra.
     """
+    words = completed(words)
     lines = "\n".join(words)
     own = [Path(each) for each in (*config_folders(words), *re.findall(r"file://([^,\]'\"\n]+)", lines))]
     other = re.search(r"(?m)^(-cp|-cn|-sc|--config-path|--config-name|--shell-)|^hydra.searchpath=.*pkg:", lines)
@@ -158,9 +165,13 @@ def check_choices(words: Sequence[str]) -> None:
         if takes and asked and asked not in {*takes, *named}:
             near = did_you_mean(asked, takes) or f" There are: {', '.join(sorted(takes))}"
             raise UserError(f"Could not override '{key}': Key '{asked}' is no option of {first}.{near}")
-        is_number = not inner and re.search(rf"(?m)^{first}: [\d.]+$", roots)
+        allowed, is_number = ELSEWHERE["choices"].get(key), not inner and re.search(rf"(?m)^{first}: [\d.]+$", roots)
         if len(inner) == depth and asked in takes:
             is_number = {*re.findall(r"[A-Za-z]\w*", takes[asked])} <= _NUMERIC
+            if choice := _LITERAL.fullmatch(takes[asked]):
+                allowed = re.findall(r"[\w-]+", choice[1])
+        if allowed and _WORD.fullmatch(value) and value.lower() not in map(str.lower, allowed):
+            raise UserError(f"{key}={value}: choose one of {', '.join(allowed)}")
         if is_number and _TEXT.fullmatch(value):
             raise UserError(f"{key}={value}: expected a number")
 

@@ -72,12 +72,28 @@ def _source(plugin: Plugin) -> ast.ClassDef | None:
 def _class(module: str, name: str, root: Path | None) -> ast.ClassDef | None:
     """The definition of a class in a module, or in one that the module imports it from."""
     file = source_file(module, root) or source_file(module, None)
-    for statement in ast.parse(file.read_bytes()).body if file else ():
+    body = ast.parse(file.read_bytes()).body if file else []
+    for statement in body:
         if isinstance(statement, ast.ClassDef) and statement.name == name:
-            return statement
+            return _Spelled(body).visit(statement)
         if isinstance(statement, ast.ImportFrom) and name in (alias.name for alias in statement.names):
             return _class(statement.module, name, root) if statement.module else None
     return None
+
+
+class _Spelled(ast.NodeTransformer):
+    """Writes out the names of a module's own ``Literal`` types."""
+
+    def __init__(self, body: list[ast.stmt]) -> None:
+        assigned = [each for each in body if isinstance(each, ast.Assign)]
+        self.known = {
+            ast.unparse(each.targets[0]): each.value
+            for each in assigned
+            if ast.unparse(each.value).startswith("Literal[")
+        }
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return self.known.get(node.id, node)
 
 
 def packages() -> list[Path]:

@@ -24,12 +24,6 @@ FAR = 1e4
 """Cameras further from the origin than so many times their spread are moved there, for 32-bit numbers to hold them."""
 
 
-def files_of(path: Path, suffix: str) -> list[Path]:
-    """The files of a suffix in a folder, or a given one."""
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
-    return [file for file in files if file.suffix.lower() == suffix and file.is_file()]
-
-
 def rigid(matrix: np.ndarray, *, length: float = 1.0) -> Float64[np.ndarray, "4 4"]:
     """The nearest rigid motion of a stored 3x4 or 4x4 matrix whose axes are ``length`` long."""
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():

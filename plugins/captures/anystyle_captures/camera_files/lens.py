@@ -28,8 +28,7 @@ MAX_SLOPE = 2.5
 class Lens:
     """Brown's model in OpenCV's order, or with ``fisheye`` that of Kannala and Brandt.
 
-    A ray (x, y) at z = 1, of a fisheye scaled from tan(a) to the angle a, is seen at ``(fx, fy) d(x, y) + (cx, cy)``,
-    to which ``skew`` times the distorted y is added across.
+    A ray (x, y) at z = 1, of a fisheye scaled from tan(a) to the angle a, is seen at ``(fx, fy) d(x, y) + (cx, cy)``.
 
     Args:
         size: Height and width in pixels.
@@ -37,7 +36,6 @@ class Lens:
         center: cx and cy in pixels from the upper left corner, (0.5, 0.5) in the middle of the first pixel.
         radial: k1 to k4, of r², r⁴, r⁶ and r⁸.
         tangential: p1 and p2: x gains ``2 p1 x y + p2 (r² + 2 x²)``, y ``p1 (r² + 2 y²) + 2 p2 x y``.
-        skew: In pixels.
         fisheye: Whether the radius is the angle from the axis.
         colmap: A camera of a model that the terms do not cover; pycolmap projects by it.
     """
@@ -47,19 +45,18 @@ class Lens:
     center: tuple[float, float]
     radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
-    skew: float = 0.0
     fisheye: bool = False
     colmap: Camera | None = None
 
     def __post_init__(self) -> None:
-        values = (*self.size, *self.focal, *self.center, *self.radial, *self.tangential, self.skew)
+        values = (*self.size, *self.focal, *self.center, *self.radial, *self.tangential)
         sizes = all(1 <= side <= MAX_SIDE for side in self.size) and all(focal > 0 for focal in self.focal)
         if not (sizes and all(map(math.isfinite, values))):
             height, width = self.size
             raise UserError(f"a camera of {width}x{height} pixels with focal lengths {self.focal} is invalid")
 
     def matrix(self, scale: float = 1.0) -> Float[np.ndarray, "3 3"]:
-        """Intrinsics without distortion and skew, for focal lengths that are ``scale`` times as long."""
+        """Intrinsics without distortion, for focal lengths that are ``scale`` times as long."""
         (fx, fy), (cx, cy) = self.focal, self.center
         return np.array([[scale * fx, 0.0, cx], [0.0, scale * fy, cy], [0.0, 0.0, 1.0]])
 
@@ -77,8 +74,7 @@ class Lens:
         p1, p2 = self.tangential
         u = x * (1 + factor) + 2 * p1 * x * y + p2 * (squared + 2 * x * x)
         v = y * (1 + factor) + p1 * (squared + 2 * y * y) + 2 * p2 * x * y
-        u = self.focal[0] * u + self.skew * v + self.center[0]
-        return torch.stack([u, self.focal[1] * v + self.center[1]], dim=-1)
+        return torch.stack([u, v], dim=-1) * rays.new_tensor(self.focal) + rays.new_tensor(self.center)
 
     def undistortion(self) -> Undistortion | None:
         """What makes a photograph one of a pinhole camera, if it is not one."""

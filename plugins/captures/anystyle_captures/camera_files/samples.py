@@ -16,23 +16,6 @@ from anystyle_captures.camera_files.lens import Lens
 
 Poses = Sequence[Float64[np.ndarray, "4 4"]]
 
-_METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
-<document version="2.0.0">
-  <chunk label="Chunk 1" enabled="true">
-    <sensors next_id="1">
-      <sensor id="0" label="unknown" type="{kind}">
-        <calibration type="{kind}" class="adjusted"><resolution width="{width}" height="{height}"/>{terms}</calibration>
-      </sensor>
-    </sensors>
-    <components next_id="1" active_id="0"><component id="0" label="Component 1"><transform>
-      <rotation>{rotation}</rotation><translation>{translation}</translation><scale>{scale!r}</scale>
-    </transform></component></components>
-    <cameras next_group_id="0">
-{cameras}    </cameras>
-  </chunk>
-</document>
-"""
-
 
 def write_photographs(folder: Path, size: tuple[int, int] = (48, 64), count: int = 3) -> list[Path]:
     """Pictures of this height and width."""
@@ -55,44 +38,6 @@ def poses(count: int = 3) -> list[Float64[np.ndarray, "4 4"]]:
 def pinhole(size: tuple[int, int] = (48, 64)) -> Lens:
     """A lens without distortion."""
     return Lens(size, (50.0, 50.0), (size[1] / 2 + 0.5, size[0] / 2 - 0.25))
-
-
-def words(values: Sequence[float] | np.ndarray) -> str:
-    """Numbers in full, separated by spaces."""
-    return " ".join(repr(float(value)) for value in values)
-
-
-def write_metashape(
-    path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens, world_from_chunk: np.ndarray | None = None
-) -> None:
-    """Agisoft XML; ``world_from_chunk`` is a 4x4 similarity."""
-    (fx, f), (x, y), (p2, p1), (height, width) = lens.focal, lens.center, lens.tangential, lens.size
-    values = {"f": f, "cx": x - width / 2, "cy": y - height / 2, "b1": fx - f, "b2": lens.skew}
-    values |= dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), (*lens.radial, p1, p2), strict=True))
-    values = {name: float(value) for name, value in values.items()}
-    world = np.eye(4) if world_from_chunk is None else world_from_chunk
-    scale = float(np.cbrt(np.linalg.det(world[:3, :3])))
-    cameras = ""
-    for number, (image, pose) in enumerate(zip(images, world_from_camera, strict=True)):
-        matrix = np.linalg.inv(world) @ pose
-        matrix[:3, :3] *= scale
-        cameras += f'      <camera id="{number}" sensor_id="0" component_id="0" label="{image.stem}">'
-        cameras += f"<transform>{words(matrix.ravel())}</transform></camera>\n"
-    fields = {"kind": "fisheye" if lens.fisheye else "frame", "width": width, "height": height, "cameras": cameras}
-    fields["terms"] = "".join(f"<{name}>{value!r}</{name}>" for name, value in values.items() if value)
-    rotation, translation = words(world[:3, :3].ravel() / scale), words(world[:3, 3])
-    path.write_text(_METASHAPE.format(rotation=rotation, translation=translation, scale=scale, **fields))
-
-
-def write_polycam(folder: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
-    """Cameras of keyframes, one file each."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for image, pose in zip(images, world_from_camera, strict=True):
-        stored = pose @ OPENCV_FROM_OPENGL
-        frame = {f"t_{row}{column}": float(stored[row, column]) for row in range(3) for column in range(4)}
-        frame |= {"fx": lens.focal[0], "fy": lens.focal[1], "cx": lens.center[0], "cy": lens.center[1]}
-        frame |= {"height": lens.size[0], "width": lens.size[1], "blur_score": 80.0, "timestamp": 1, "manual": False}
-        (folder / f"{image.stem}.json").write_text(json.dumps(dict(sorted(frame.items(), reverse=True))))
 
 
 def write_transforms(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:

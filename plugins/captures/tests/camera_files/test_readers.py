@@ -18,10 +18,6 @@ LENS = Lens(SIZE, (50.0, 50.0), (33.0, 23.5), (-0.1, 0.02, -0.003, 0.001), (0.00
 WIDE = Lens(SIZE, (30.0, 30.0), (32.0, 24.0), (0.02, -0.01, 0.0, 0.0), fisheye=True)
 
 
-def metashape(folder, images, lens, **options):
-    samples.write_metashape(folder / "anything.xml", images, samples.poses(), lens, **options)
-
-
 def transforms(folder, images, lens):
     samples.write_transforms(folder / "transforms.json", images, samples.poses(), lens)
 
@@ -36,10 +32,9 @@ def known(folder):
 
 
 BY_ALL = Lens(SIZE, (50.0, 50.0), (33.0, 23.5), (-0.1, 0.02, 0.0, 0.0), (0.004, -0.002))
-BY_BOTH = [(write, lens) for write in (metashape, transforms) for lens in (LENS, WIDE)]
 
 
-@pytest.mark.parametrize(("write", "lens"), [*BY_BOTH, (model, BY_ALL)])
+@pytest.mark.parametrize(("write", "lens"), [(transforms, LENS), (transforms, WIDE), (model, BY_ALL)])
 def test_what_is_written_is_read(tmp_path, write, lens):
     images = samples.write_photographs(tmp_path / "images", SIZE)
     write(tmp_path, images, lens)
@@ -55,51 +50,6 @@ def test_what_is_written_is_read(tmp_path, write, lens):
     # What is drawn on a photograph, such as a mask, is undistorted as the view was.
     drawn = np.asarray(sources[0].of_view(Image.open(images[0])))
     assert np.abs(drawn / 255 - views.images[0, 0].permute(1, 2, 0).numpy()).max() < 0.02
-
-
-def test_polycam_has_corrected_cameras_beside_those_of_the_phone(tmp_path):
-    """The photographs are found below the capture's folder, which holds a picture of its own."""
-    Image.new("RGB", (10, 10)).save(tmp_path / "thumbnail.jpg")
-    keyframes = tmp_path / "keyframes"
-    images, shifted = samples.write_photographs(keyframes / "images", SIZE), samples.poses()
-    samples.write_polycam(keyframes / "cameras", images, samples.poses(), samples.pinhole())
-    for matrix in shifted:
-        matrix[0, 3] += 7
-    _, sources, found = known(tmp_path)
-    assert [source.name for source in sources] == ["view_0", "view_1", "view_2"]
-    np.testing.assert_allclose(found.views.world_from_camera[0], samples.poses(), atol=1e-6)
-    samples.write_photographs(keyframes / "corrected_images", SIZE)
-    samples.write_polycam(keyframes / "corrected_cameras", images, shifted, samples.pinhole())
-    _, sources, found = known(tmp_path)
-    assert sources[0].path.parent.name == "corrected_images"
-    np.testing.assert_allclose(found.views.world_from_camera[0], shifted, atol=1e-6)
-    _, _, found = known(keyframes / "images")
-    np.testing.assert_allclose(found.views.world_from_camera[0], samples.poses(), atol=1e-6)
-    # ARKit's camera looks along -z with y up.
-    frame = json.loads((keyframes / "cameras" / "view_0.json").read_text())
-    np.testing.assert_allclose([-frame[f"t_{row}2"] for row in range(3)], samples.poses()[0][:3, 2], atol=1e-12)
-
-
-def test_metashapes_chunk_is_brought_into_the_world(tmp_path):
-    world = np.diag([2.5, 2.5, 2.5, 1.0])
-    world[:3, :3] = 2.5 * samples.poses()[2][:3, :3]
-    world[:3, 3] = [4.0, -3.0, 1.0]
-    images = samples.write_photographs(tmp_path, SIZE)
-    metashape(tmp_path, images, LENS, world_from_chunk=world)
-    cameras = read_poses(tmp_path, images)
-    for image, pose in zip(images, samples.poses(), strict=True):
-        np.testing.assert_allclose(cameras[image].world_from_camera, pose, atol=1e-6)
-    # A place on the globe, in metres: 32-bit numbers would lose a decimetre.
-    world[:3, 3] = [-2499366.43, -4256836.52, 4029217.97]
-    far = samples.poses()
-    for matrix in far:
-        matrix[:3, 3] += world[:3, 3]
-    samples.write_metashape(tmp_path / "anything.xml", images, far, LENS, world)
-    cameras = read_poses(tmp_path, images)
-    positions = np.stack([cameras[image].world_from_camera[:3, 3] for image in images])
-    wanted = np.stack([matrix[:3, 3] for matrix in samples.poses()])
-    np.testing.assert_allclose(positions - positions[0], wanted - wanted[0], atol=1e-5)
-    assert np.abs(positions).max() < 10
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
@@ -128,17 +78,6 @@ def test_photographs_that_lie_on_a_side_get_upright_cameras(tmp_path, orientatio
     assert np.abs(seen - radial_only).mean() < 3
 
 
-def metashape_groups(folder, images, lens):
-    """Labels are names without folders; groups of cameras are the folders."""
-    metashape(folder, images, lens)
-    text = (folder / "anything.xml").read_text()
-    first = text.find("<camera id")
-    for camera, group in ((text.find("<camera id", first + 1), "cam1"), (first, "cam0")):
-        end = text.find("</camera>", camera) + len("</camera>")
-        text = f'{text[:camera]}<group id="{group}" label="{group}">{text[camera:end]}</group>{text[end:]}'
-    (folder / "anything.xml").write_text(text)
-
-
 def rig(folder):
     """Two folders with a photograph of the same name each, and one more."""
     images = samples.write_photographs(folder / "images", SIZE)
@@ -149,7 +88,7 @@ def rig(folder):
     return places
 
 
-@pytest.mark.parametrize("write", [model, transforms, metashape_groups])
+@pytest.mark.parametrize("write", [model, transforms])
 def test_photographs_of_equal_names_get_their_own_poses(tmp_path, write, monkeypatch):
     images = rig(tmp_path)
     write(tmp_path, images, LENS)
@@ -159,13 +98,6 @@ def test_photographs_of_equal_names_get_their_own_poses(tmp_path, write, monkeyp
     np.testing.assert_allclose(found.views.world_from_camera[0], samples.poses(), atol=1e-5)
     _, _, found = known(tmp_path / "images" / "cam1")  # and one folder of them
     np.testing.assert_allclose(found.views.world_from_camera[0], samples.poses()[1:], atol=1e-5)
-
-
-def test_names_without_folders_that_two_photographs_have_are_refused(tmp_path):
-    images = rig(tmp_path)
-    metashape(tmp_path, images, LENS)
-    with pytest.raises(ValueError, match="has two cameras of the name 0001"):
-        known(tmp_path)
 
 
 def test_llffs_poses_are_in_alphabetical_order(tmp_path):
@@ -178,35 +110,21 @@ def test_llffs_poses_are_in_alphabetical_order(tmp_path):
         np.testing.assert_allclose(cameras[tmp_path / "images" / name].world_from_camera, pose, atol=1e-6)
 
 
-DAMAGE = {
-    "metashape": [
-        ('<?xml version="1.0" encoding="UTF-8"?>', '<!DOCTYPE a [<!ENTITY b "c">]>', "declares a document type"),
-        ('type="frame"', 'type="spherical"', "is of type spherical"),
-        ("<f>", "<fx>", "cannot be read|is not a file"),
-        ('sensor_id="0" component', 'sensor_id="4" component', "sensor of view_0 is not there"),
-        ("<k1>", "<p3>0.1</p3><k1>", "p3 and p4"),
-        ("<scale>1.0", "<scale>0.0", "has the scale 0"),
-        ("<rotation>", "<rotation>x ", "could not convert"),
-        ("</document>", "", "is not a file of Metashape cameras"),
-    ],
-    "transforms": [
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
         ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* poses=sfm cuts them"),
         ('"OPENCV"', '"FOV"', "camera_model FOV is not one of"),
         ("[[0.9999999999999999,", "[[-0.9999999999999999,", "a pose mirrors: its axes are left-handed"),
+        ("images/view_1.png", "images/view_0.png", "has two cameras of the name images/view_0.png"),
     ],
-}
-
-
-@pytest.mark.parametrize(
-    ("write", "old", "new", "words"), [(key, *case) for key, cases in DAMAGE.items() for case in cases]
 )
-def test_what_cannot_be_read_ends_in_one_line(tmp_path, write, old, new, words):
+def test_what_cannot_be_read_ends_in_one_line(tmp_path, old, new, words):
     images = samples.write_photographs(tmp_path, SIZE)
-    {"metashape": metashape, "transforms": transforms}[write](tmp_path, images, LENS)
-    [file, *_] = sorted(path for path in tmp_path.iterdir() if path not in images)
-    text = file.read_text()
+    transforms(tmp_path, images, LENS)
+    text = (tmp_path / "transforms.json").read_text()
     assert old in text
-    file.write_text(text.replace(old, new))
+    (tmp_path / "transforms.json").write_text(text.replace(old, new))
     with pytest.raises(ValueError, match=words) as caught:
         read_poses(tmp_path, images)
     assert "\n" not in str(caught.value)
