@@ -27,20 +27,18 @@ class GsplatRenderer(Rasterizer):
     @classmethod
     def lacks(cls) -> str | None:
         try:
-            _rasterization()
             from gsplat.cuda._backend import _C  # pyright: ignore[reportMissingImports]
-        except (MissingExtra, ImportError):
+        except ImportError:
             return 'is not installed: pip install "anystyle[gpu]"'
         # As it is imported, it compiles its kernels, once, or finds no compiler.
         return None if _C is not None else "cannot compile its kernels: install the CUDA toolkit, whose nvcc it runs"
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         rasterization = _rasterization()
-        scenes = range(gaussians.means.shape[0])
         with torch.autocast(gaussians.means.device.type, enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)
             # Scene by scene: later versions of gsplat take no batch of harmonics.
-            images = [self._scene(rasterization, gaussians, cameras, b) for b in scenes]
+            images = [self._scene(rasterization, gaussians, cameras, b) for b in range(len(gaussians.means))]
             return torch.stack(images).to(gaussians.means.dtype)
 
     def _scene(
@@ -52,9 +50,8 @@ class GsplatRenderer(Rasterizer):
         harmonics = gaussians.harmonics[scene].float()  # N K 3
         degree = degree_of(harmonics.shape[1])
         if len(means) == 0:
-            nothing = means.new_zeros(cameras.intrinsics.shape[1], 5, height, width)
-            nothing[:, 4] = 1
-            return nothing
+            nothing = means.new_tensor([0, 0, 0, 0, 1])[:, None, None]
+            return nothing.expand(cameras.intrinsics.shape[1], 5, height, width)
         color, alpha, _ = rasterization(
             means=means,
             quats=rotations,
