@@ -38,7 +38,7 @@ for name, value in expected.items():
 """
 
 
-@pytest.mark.parametrize("tolerance", [0.0, pytest.param(1e-4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [0.0, pytest.param(1e-4, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
 def test_blocks_of_a_kind_are_compiled_once_and_give_the_same(tolerance: float) -> None:
     """As they are, bit for bit; and, slowly, by PyTorch's usual compiler.
 
