@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path, PurePosixPath
 
 import torch
@@ -60,8 +61,10 @@ def read_start(path: Path, views: Views) -> GivenGaussians:
         gaussians = change.gaussians(gaussians)
         frame = f"aligned by {len(both)} cameras, which differ by {turned:.2f}° and {100 * moved:.1f}% of their radius"
     means, seen = gaussians.means[0], torch.zeros_like(gaussians.opacities[0], dtype=torch.bool)
-    for view in range(views.images.shape[1]):
+    distance = torch.full_like(gaussians.opacities[0], inf)
+    for view, center in enumerate(cameras.world_from_camera[0, :, :3, 3]):
         seen |= pixels_of(means, cameras, view).within
+        distance = distance.minimum((means - center).norm(dim=1))
     share = float(seen.double().mean())
     if share < SEEN:
         raise UserError(
@@ -74,7 +77,6 @@ def read_start(path: Path, views: Views) -> GivenGaussians:
         path,
         frame,
     )
-    distance = torch.cdist(means, cameras.world_from_camera[0, :, :3, 3]).amin(1)
     return GivenGaussians(gaussians, distance / cameras.intrinsics[0, :, 0, 0].mean()).to(views.images.device)
 
 

@@ -9,7 +9,7 @@ from anystyle_captures.fit_loop import FitLoop, FitOptions, InitialScene
 from anystyle_captures.poses import difference
 
 logger = logging.getLogger(__name__)
-TRIAL, MOST = 0.3, 4
+TRIAL, MOST = 0.3, 2
 """The steps of a trial, relative to those of a fit, all at half the resolution; how many follow each other at most."""
 MOVED, BETTER = 0.0017, 1.02
 """How far cameras must have moved in a trial, in radians and median depths, and in how many times as many pixels stereo
