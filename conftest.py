@@ -17,6 +17,7 @@ os.environ["ANYSTYLE_CACHE"] = "off"
 # Parallel kernels of numba, which a reader of splats has that tests compare with, set the threads of OpenMP, which are
 # PyTorch's too: every later test of the worker would compute on all cores, and wait for them.
 os.environ["NUMBA_NUM_THREADS"] = "1"
+os.environ["WARP_CACHE_PATH"] = str(Path(__file__).parent / "plugins" / "warp_renderer" / "__pycache__")
 # Where bytecode is forbidden, each worker and each process that a test starts would compile every module again: of the
 # libraries too, since what an instrumented module imports is looked for under the instrumentation's own name.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

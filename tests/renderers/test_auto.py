@@ -13,7 +13,7 @@ from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.elsewhere import There, elsewhere
-from tests.support.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians, warp
 
 
 @pytest.fixture
@@ -37,14 +37,20 @@ def test_devices_without_kernels_are_served_by_the_cpu(undecided: None, caplog: 
 
 
 @pytest.mark.parametrize(
-    ("missing", "expected"), [(None, ("gsplat", "cuda")), ("is not installed: pip install it", ("cpu", "cpu"))]
+    ("missing", "expected", "told"),
+    [
+        ([], ("gsplat", "cuda"), ""),
+        (["gsplat"], ("warp", "cuda"), "takes warp, on cuda: gsplat is not installed"),
+        (["gsplat", "warp"], ("cpu", "cpu"), "takes cpu, on the CPU, with copies from cuda and back: gsplat is not"),
+    ],
 )
-def test_a_card_without_gsplat_is_no_trap(undecided: None, monkeypatch, caplog, missing, expected) -> None:
-    monkeypatch.setattr(GsplatRenderer, "lacks", classmethod(lambda cls: missing))
+def test_a_card_without_gsplat_is_no_trap(undecided: None, monkeypatch, caplog, missing, expected, told) -> None:
+    for name, renderer in (("gsplat", GsplatRenderer), ("warp", warp.values[0])):
+        lacks = classmethod(lambda cls, it=name: "is not installed: pip install it" if it in missing else None)
+        monkeypatch.setattr(renderer, "lacks", lacks)
     assert best_renderer("cuda") == expected
-    assert ("takes cpu, on the CPU, with copies from cuda and back: gsplat is not installed" in caplog.text) == bool(
-        missing
-    )
+    assert told in caplog.text and len(caplog.records) == bool(missing)
+    assert all(f"{name} is not installed: pip install it" in caplog.text for name in missing)
 
 
 @pytest.mark.skipif(find_spec("gsplat") is not None, reason="gsplat is installed")
@@ -92,7 +98,7 @@ def test_a_renderer_that_sets_no_priority_or_cannot_be_imported_is_not_chosen(
     load = Plugin.load
 
     def broken(self: Plugin) -> type:
-        if self.name in ("gsplat", "cpu"):
+        if self.name in ("gsplat", "cpu", "warp"):
             raise PluginError("it cannot be imported")
         return load(self)
 

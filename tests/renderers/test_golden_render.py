@@ -15,11 +15,12 @@ from anystyle.testing.oracle import assert_matches, hashed
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.oracle import golden
+from tests.support.scenes import warp
 
 GOLDEN = golden("golden_render")
 CASES = [name for name in GOLDEN if name.startswith("N")]
 CAPS = ["0.999", "0.99"]
-RENDERERS = [TorchRenderer, CpuRenderer]
+RENDERERS = [TorchRenderer, CpuRenderer, warp]
 INPUTS = ("means", "quats", "scales", "opacities", "sh")
 
 

@@ -17,12 +17,12 @@ from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Renders
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians, warp
 
 cuda = pytest.param(
     GsplatRenderer, marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat needs a CUDA device")
 )
-RENDERERS = [TorchRenderer, CpuRenderer, cuda]
+RENDERERS = [TorchRenderer, CpuRenderer, warp, cuda]
 NAMES = [field.name for field in fields(Gaussians)]
 
 
@@ -57,7 +57,7 @@ def objective(renders: Renders) -> Tensor:
     return weigh(renders.color) + 0.1 * weigh(renders.depth) + weigh(renders.alpha)
 
 
-@pytest.mark.parametrize("renderer", [CpuRenderer, cuda])
+@pytest.mark.parametrize("renderer", [CpuRenderer, warp, cuda])
 @pytest.mark.parametrize(
     ("degree", "size", "antialiased"),
     [(0, (37, 29), False), (1, (16, 48), False), (4, (33, 20), False), (1, (16, 48), True)],
@@ -68,21 +68,24 @@ def test_agrees_with_the_specification(renderer: Any, degree: int, size: tuple[i
     assert_same(render(renderer, scene, views), exact, atol=2e-5)
 
 
+@pytest.mark.parametrize("renderer", [CpuRenderer, warp])
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize(("degree", "size"), [(0, (37, 29)), (3, (16, 48)), (4, (33, 20))])
-def test_gradients_agree_with_the_specification(degree: int, size: tuple[int, int], antialiased: bool) -> None:
+def test_gradients_agree_with_the_specification(
+    renderer: Any, degree: int, size: tuple[int, int], antialiased: bool
+) -> None:
     """Of the Gaussians, the poses and the intrinsics; half of the Gaussians lie outside of the frustum or behind it."""
     scene, views = gaussians(2, 300, degree, seed=3).marked(antialiased), cameras(2, 2, size, distance=1.0)
     *inputs, leaves = with_gradients(scene.to(torch.float64), views.to(torch.float64))
     expected = torch.autograd.grad(objective(TorchRenderer(near=0.05)(*inputs)), leaves)
     *inputs, leaves = with_gradients(scene, views)
-    actual = torch.autograd.grad(objective(CpuRenderer(near=0.05)(*inputs)), leaves)
+    actual = torch.autograd.grad(objective(renderer(near=0.05)(*inputs)), leaves)
     for name, value, exact in zip([*NAMES, "poses", "intrinsics"], actual, expected, strict=True):
         error = (value - exact).norm() / exact.norm()
         assert exact.norm() > 0, name
         assert error < 1e-4, f"{name}: relative error {error:.1e}"
     harmonics = scene.harmonics.clone().requires_grad_()
-    renders = CpuRenderer(near=0.05)(replace(scene, harmonics=harmonics), views)
+    renders = renderer(near=0.05)(replace(scene, harmonics=harmonics), views)
     torch.testing.assert_close(torch.autograd.grad(objective(renders), harmonics)[0], actual[4])
 
 
@@ -141,7 +144,7 @@ def test_one_gaussian_is_a_gaussian(renderer: Any) -> None:
     torch.testing.assert_close(renders.color[0, 0], composed, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("renderer", [TorchRenderer, CpuRenderer])
+@pytest.mark.parametrize("renderer", [TorchRenderer, CpuRenderer, warp])
 @pytest.mark.parametrize(("cap", "shown"), [(0.999, 1), (0.95, 3), (0.5, 13)])
 def test_a_pixel_is_full(renderer: Any, cap: float, shown: int) -> None:
     """Opaque layers each let 1 - cap pass; the one that would leave at most 1e-4 is not blended, nor any behind it."""
@@ -314,15 +317,16 @@ def test_same_bits_for_any_number_of_threads(degree: int) -> None:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
-def test_expanded_scenes() -> None:
+@pytest.mark.parametrize("renderer", [CpuRenderer, warp])
+def test_expanded_scenes(renderer: Any) -> None:
     """One scene in many styles shares its geometry without copies; gradients add up."""
     scene, views = gaussians(1, 80), cameras(1, 2, (20, 30))
     means = scene.means.clone().requires_grad_()
     shared = replace(scene, means=means).expand(3)
-    gradient = torch.autograd.grad(objective(CpuRenderer()(shared, views.expand(3))), means)[0]
+    gradient = torch.autograd.grad(objective(renderer()(shared, views.expand(3))), means)[0]
     separate = [means.detach().clone().requires_grad_() for _ in range(3)]
     stacked = replace(scene.expand(3), means=torch.cat(separate))
-    expected = torch.autograd.grad(objective(CpuRenderer()(stacked, views.expand(3))), separate)
+    expected = torch.autograd.grad(objective(renderer()(stacked, views.expand(3))), separate)
     torch.testing.assert_close(gradient, sum(expected), rtol=1e-5, atol=1e-6)
 
 

@@ -1,10 +1,20 @@
 """Random scenes for the tests of renderers."""
 
+from importlib.util import find_spec
+
+import pytest
 import torch
 from torch import Tensor
 
 from anystyle.geometry.transforms import matrix_from_wxyz
+from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians
+
+warp = pytest.param(
+    catalog().find("renderer", "warp").load(),
+    marks=pytest.mark.skipif(find_spec("warp") is None, reason="warp-lang is not installed"),
+)
+"""The renderer of cards without a compiler, whose kernels run on the CPU, too."""
 
 
 def gaussians(batch: int, number: int, degree: int = 0, seed: int = 0, dtype: torch.dtype = torch.float32) -> Gaussians:

@@ -1,37 +1,15 @@
 """What a card is asked for: how many kernels there are, and that none of them waits for the host."""
 
 from contextlib import nullcontext
-from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves
 
 from anystyle.nn.attention import Block
 from anystyle.nn.tokens import grid_positions, rotary
 from tests.support.backbone_cases import network, views
 from tests.support.elsewhere import nothing_kept
-
-NO_KERNEL = {"empty", "empty_strided", "new_empty", "new_empty_strided", "empty_like", "detach", "_unsafe_view"}
-
-
-class Kernels(TorchDispatchMode):
-    """Counts what is computed; views and metadata are not. With a ``device``, nothing may be made on another one."""
-
-    def __init__(self, device: str | None = None) -> None:
-        super().__init__()
-        self.device, self.count = device, 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        result, name = func(*args, **(kwargs or {})), func.overloadpacket.__name__
-        assert name != "_local_scalar_dense" or self.device is None, "a value is read back"
-        for leaf in tree_leaves(result) if self.device else ():
-            assert not isinstance(leaf, Tensor) or leaf.device.type == self.device, f"{name} made {leaf.device}"
-        is_view = any(each.alias_info and not each.alias_info.is_write for each in func._schema.returns)
-        self.count += not is_view and name not in NO_KERNEL
-        return result
+from tests.support.kernels import Kernels
 
 
 @torch.no_grad()
@@ -46,7 +24,7 @@ def test_a_block_is_few_kernels() -> None:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("name", ["anysplat", "depth_anything"])
+@pytest.mark.parametrize("name", ["anysplat", "depth_anything", "styl3r", "stylos"])
 def test_nothing_of_a_network_comes_from_the_host(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())  # it does not know the meta device
     backbone = network(name)

@@ -1,5 +1,6 @@
 """Reconstructions of captures, judged on photographs that they never saw."""
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -46,6 +47,8 @@ from anystyle_captures.twins import groups, held_out
 from anystyle_methods.projection import stylized_views
 from anystyle_methods.scene_loop import color_map
 
+_log = logging.getLogger(__name__)
+
 BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher"}
 COMPARED = (
     *(("photographs", kind) for kind in ("unstyled", "palette", "stylized", "view_by_view")),
@@ -72,6 +75,7 @@ class Captures(Protocol):
     Cameras are estimated from all photographs; neither reconstruction sees the pixels of those held out. The backbone
     gets its own resolution and predicts cameras of its own, among which held-out views are placed by a similarity; the
     fit has the exposure of neighbouring views. ``matched_psnr`` is PSNR after an affine change of each view's colours.
+    A capture that cannot be judged is left out, with a warning that is in the provenance, too.
     CPU seconds of the cameras, of each reconstruction and of the metrics are in the provenance,
     under ``costs``; cameras and fits in the cache cost nothing.
 
@@ -102,7 +106,7 @@ class Captures(Protocol):
         weights: The weights of LPIPS: ``auto`` takes ST-LPIPS (``st_lpips``) or a stand-in where they are missing.
 
     Raises:
-        UserError: There is no capture.
+        UserError: There is no capture, or none that can be judged.
     """
 
     def __init__(
@@ -145,14 +149,22 @@ class Captures(Protocol):
     def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         """Judge each capture; the record of one that is finished is read."""
         records: dict[str, dict[str, Any]] = {}
+        left_out: list[str] = []
         rows: list[Row] = []
         for done, path in enumerate(self.captures):
             on_progress(Progress.count("captures", done, len(self.captures)))
             name = path.parent.name if path.name == "images" else path.stem
             folder = out / "captures" / slug(name, 80)
             if not (folder / "record.json").is_file():
-                with atomic_directory(folder) as temporary:
-                    write_json(temporary / "record.json", self._judge(path, temporary))
+                try:
+                    with atomic_directory(folder) as temporary:
+                        write_json(temporary / "record.json", self._judge(path, temporary))
+                except UserError as error:
+                    if len(self.captures) == 1:
+                        raise
+                    left_out.append(f"{name} is left out: {error}")
+                    _log.warning(left_out[-1])
+                    continue
             what = f"record of a capture; delete {folder}"
             record: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
             judged = {score for scores in record.get("scores", {}).values() for score in scores}
@@ -164,6 +176,8 @@ class Captures(Protocol):
                 scores = numbers(values)
                 files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
                 rows.append(Row(name, kind, scores, {what: file for what, file in files.items() if file.is_file()}))
+        if not records:
+            raise UserError(f"no capture can be judged; {'; '.join(left_out)}")
         on_progress(Progress.count("captures", len(self.captures), len(self.captures)))
         kinds = dict.fromkeys(row.style for row in rows)
         groups = {kind: _mean([row.scores for row in rows if row.style == kind]) for kind in kinds}
@@ -188,7 +202,7 @@ class Captures(Protocol):
                 "costs": {name: record["costs"] for name, record in records.items()},
                 "comparisons": found,
                 "cameras": {name: record["cameras"] for name, record in records.items()},
-                "warnings": [text for record in records.values() for text in record.get("warnings", [])],
+                "warnings": left_out + [text for record in records.values() for text in record.get("warnings", [])],
             },
         )
 

@@ -38,6 +38,12 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
     row = {row.style: row.scores for row in evaluation.rows}["view_by_view, example:wave"]
     assert row["consistency"] == wall["view_by_view"]
     assert evaluation.groups["photographs over stylized"]["consistency"] == 1
+    protocol.captures = [tmp_path / "nothing", *protocol.captures]
+    protocol.captures[0].mkdir()
+    others = Captures.run(protocol, tmp_path / "others", no_progress)
+    assert others.provenance["scenes"] == ["wall"] and others.scores == evaluation.scores
+    assert "nothing is left out: there are no images in the folder" in others.provenance["warnings"][0]
+    del protocol.captures[0]
     protocol.better["csd"] = "higher"
     with pytest.raises(ValueError, match="judged without csd, by other metrics or networks"):
         protocol.run(tmp_path / "out", no_progress)

@@ -32,10 +32,14 @@ STEEPNESS, MOST = 2.0, 0.5
 are found less often, and twice as broad ones hide the scene."""
 
 
-def stroke_scale(style: Float[Tensor, " D"]) -> float:
-    """How much broader than usual the strokes of a style are, from 0.7 to 1.4."""
-    octaves = float(sum(weight * style[number] for number, weight in MARKS.items())) - USUAL
-    return 2 ** max(-MOST, min(STEEPNESS * octaves, MOST))
+def stroke_scales(styles: Float[Tensor, "B D"]) -> list[float]:
+    """How much broader than usual the strokes of styles are, from 0.7 to 1.4.
+
+    They are read back, all at once, for they decide how large the pictures are that the network sees.
+    """
+    marks = sum(weight * styles[:, number] for number, weight in MARKS.items())
+    assert isinstance(marks, Tensor)
+    return [2 ** max(-MOST, min(STEEPNESS * (each - USUAL), MOST)) for each in marks.tolist()]
 
 
 def stylize_images(
@@ -103,7 +107,7 @@ class MagentaInjector(Injector):
             sizes.
         coarse_to_fine: Whether larger views are painted again on top at twice the size, and so on up to their own:
             broad strokes with sharp edges.
-        own_strokes: Whether strokes are as broad as a style asks for by its numbers, :func:`stroke_scale` times the
+        own_strokes: Whether strokes are as broad as a style asks for by its numbers, :func:`stroke_scales` times the
             usual: what the network makes of plain parts of the views then is not the same in every style.
         gate: What ``gate`` starts as: 0 is the identity, from which a branch learns; 1 stylizes without any learning.
         pretrained: Whether the network starts from Magenta's weights (``anystyle weights list magenta_transform``).
@@ -156,8 +160,7 @@ class MagentaInjector(Injector):
 
     def _painted(self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V C H W"]:
         """Views in styles of strokes of one width."""
-        painter = self.at_scale(stroke_scale(style[0])) if self.own_strokes else self
-        for size in painter.sizes((images.shape[-2], images.shape[-1])):
+        for size in self.sizes((images.shape[-2], images.shape[-1])):
             images = stylize_images(self.network, images, style, working_size=size, joint=True, chunk=self.chunk)
         return images
 
@@ -167,7 +170,10 @@ class MagentaInjector(Injector):
         # As rgb_from_constant and constant_from_rgb, for any number of channels.
         images = (patches * CONSTANT + 0.5).clamp(0, 1).mT.unflatten(-1, tokens.grid)
         images, style = images.to(self.gate.dtype), style.to(self.gate.dtype)
-        rows = zip(images.split(1), style.split(1), strict=True) if self.own_strokes else [(images, style)]
-        stylized = torch.cat([self._painted(*row) for row in rows])
+        if self.own_strokes:
+            rows = zip(map(self.at_scale, stroke_scales(style)), images.split(1), style.split(1), strict=True)
+            stylized = torch.cat([painter._painted(*row) for painter, *row in rows])
+        else:
+            stylized = self._painted(images, style)
         colors = ((stylized - 0.5) / CONSTANT).flatten(-2).mT.to(patches.dtype)
         return tokens.with_patches(torch.lerp(patches, colors, self.gate.to(patches.dtype)))

@@ -9,7 +9,7 @@ from anystyle.testing import assert_contract
 from anystyle.testing.inputs import images
 from anystyle.types import Tokens
 from anystyle_magenta import MagentaEncoder, MagentaInjector, stylize_images
-from anystyle_magenta.injector import MARKS, USUAL, stroke_scale, working_shape
+from anystyle_magenta.injector import MARKS, USUAL, stroke_scales, working_shape
 from anystyle_magenta.networks import conditional_instance_norm
 
 GRID = (24, 32)
@@ -68,13 +68,13 @@ def test_strokes_are_as_broad_as_each_style_asks_for(style):
     injector = MagentaInjector(dim=3, style_dim=100, gate=1.0, working_size=32, own_strokes=True)
     tokens, chosen = _tokens(2), style.clone()
     chosen[:, list(MARKS)] = torch.tensor([[-1.0], [1.0]])
-    assert [stroke_scale(each) for each in chosen] == pytest.approx([0.5**0.5, 2**0.5])
+    assert stroke_scales(chosen) == pytest.approx([0.5**0.5, 2**0.5])
     for row, size in enumerate((round(32 * 2**0.5), round(32 / 2**0.5))):
         given = _pictures(tokens)[row : row + 1], chosen[row : row + 1]
         expected = stylize_images(injector.network, *given, working_size=size, joint=True)
         torch.testing.assert_close(_pictures(injector(tokens, chosen))[row], expected[0], rtol=0, atol=1e-5)
     chosen[:, list(MARKS)] = USUAL / sum(MARKS.values())
-    assert [stroke_scale(each) for each in chosen] == pytest.approx([1.0, 1.0], abs=1e-5)
+    assert stroke_scales(chosen) == pytest.approx([1.0, 1.0], abs=1e-5)
 
 
 @torch.no_grad()

@@ -1,5 +1,7 @@
 """The reference renderer in plain PyTorch, for every device and floating-point precision."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -28,32 +30,27 @@ class TorchRenderer(CappedRasterizer):
         scenes, views = cameras.world_from_camera.shape[:2]
         with torch.autocast(gaussians.means.device.type, enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)
-            rows = [torch.stack([self._view(gaussians, cameras, b, v) for v in range(views)]) for b in range(scenes)]
-            return torch.stack(rows)
+            each = ((b, v) for b in range(scenes) for v in range(views))
+            images = [self.blend_view(*self.project_view(gaussians, cameras, *one), cameras.size) for one in each]
+            return torch.stack(images).unflatten(0, (scenes, views))
 
-    def _view(self, gaussians: Gaussians, cameras: Cameras, scene: int, view: int) -> Float[Tensor, "5 H W"]:
-        """Accumulated red, green, blue and depth of one view, and its transmittance."""
-        means = gaussians.means[scene]  # N 3
-        splats = project(
-            means,
-            covariances(gaussians.rotations[scene], gaussians.scales[scene]),
-            gaussians.opacities[scene],
-            cameras.camera_from_world[scene, view],
-            cameras.intrinsics[scene, view],
-            cameras.size,
-            near=self.near,
-            far=self.far,
-            eps2d=self.eps2d,
-            antialiased=gaussians.antialiased,
-        )
+    def project_view(
+        self, gaussians: Gaussians, cameras: Cameras, scene: int, view: int
+    ) -> tuple[ProjectedGaussians, Float[Tensor, "n 4"]]:
+        """The Gaussians that one view shows, nearest first, and their red, green, blue and depth."""
+        means, opacities = gaussians.means[scene], gaussians.opacities[scene]  # N 3, N
+        shapes = covariances(gaussians.rotations[scene], gaussians.scales[scene])
+        pose, intrinsics = cameras.camera_from_world[scene, view], cameras.intrinsics[scene, view]
+        limits: Any = {"near": self.near, "far": self.far, "eps2d": self.eps2d, "antialiased": gaussians.antialiased}
+        splats = project(means, shapes, opacities, pose, intrinsics, cameras.size, **limits)
         rays = normalize(means[splats.index] - cameras.world_from_camera[scene, view, :3, 3], dim=-1)  # n 3
         color = colors(gaussians.harmonics[scene, splats.index], rays)  # n 3
-        payload = torch.cat([color, splats.depths[:, None]], dim=-1)  # n 4
-        return self._blend(splats, payload, cameras.size)
+        return splats, torch.cat([color, splats.depths[:, None]], dim=-1)
 
-    def _blend(
+    def blend_view(
         self, splats: ProjectedGaussians, payload: Float[Tensor, "n 4"], size: tuple[int, int]
     ) -> Float[Tensor, "5 H W"]:
+        """The payload of one view, accumulated over black, and its transmittance; of a size, height and width."""
         height, width = size
         rows = []
         for top in range(0, height, TILE):

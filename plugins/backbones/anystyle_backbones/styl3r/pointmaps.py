@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.geometry.warp import pixels
+from anystyle.nn.tokens import constant
 from anystyle.types import Cameras
 from anystyle_backbones.alignment import resect
 from anystyle_backbones.heads import centred_cameras
@@ -36,7 +37,8 @@ def cameras_of(points: Float[Tensor, "B V H W 3"]) -> Cameras:
     # Few points, and all their digits: normal equations square the condition.
     chosen = points[:, :, ::step, ::step].double()
     places = pixels(points[0, 0, :, :, 0].double())[:, ::step, ::step].flatten(1).mT + 0.5  # P 2
-    centred = places - places.new_tensor([width / 2, height / 2])
+    middle = constant((width / 2, height / 2), places.device, places.dtype)
+    centred = places - middle
     chosen = chosen.flatten(2, 3)  # B V P 3
     focal = focal_of(chosen[:, 0], centred, min(height, width))  # B
     rotation = torch.eye(3, dtype=chosen.dtype, device=chosen.device).repeat(batch, views, 1, 1)
@@ -48,7 +50,7 @@ def cameras_of(points: Float[Tensor, "B V H W 3"]) -> Cameras:
         turned = motion.rotation.mT
         rotation[:, 1:] = turned.unflatten(0, (batch, -1))
         origin[:, 1:] = -torch.einsum("mij,mj->mi", turned, motion.translation).unflatten(0, (batch, -1))
-    tangent = places.new_tensor([height / 2, width / 2]) / focal[:, None]
+    tangent = middle.flip(0) / focal[:, None]
     cameras = centred_cameras(rotation, origin, tangent[:, None].expand(-1, views, -1), (height, width))
     return cameras.to(points.dtype)
 

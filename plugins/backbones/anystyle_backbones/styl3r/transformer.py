@@ -99,8 +99,8 @@ class Embedder(contracts.Embedder):
             )
         height, width = images.shape[-2:]
         focal = min(height, width) / 2 / math.tan(math.radians(self.field_of_view) / 2)
-        entries = [[focal / width, 0.0, 0.5], [0.0, focal / height, 0.5], [0.0, 0.0, 1.0]]
-        return images.new_tensor(entries).expand(*images.shape[:2], 3, 3)
+        entries = (focal / width, 0.0, 0.5, 0.0, focal / height, 0.5, 0.0, 0.0, 1.0)
+        return constant(entries, images.device, images.dtype).view(3, 3).expand(*images.shape[:2], 3, 3)
 
 
 def tapped(depth: int) -> tuple[int, int, int, int]:
@@ -155,8 +155,8 @@ class Aggregator(Decoder, contracts.Aggregator):
         if views == 1 and not self._told:
             self._told = True
             _log.warning("there is one view, and the published network needs two: what it gives is a guess")
-        beside = torch.tensor([[other for other in range(views) if other != view] for view in range(views)])
-        beside = beside.to(stem.data.device, torch.long)  # V V-1
+        beside = torch.arange(views - 1, device=stem.data.device).expand(views, -1)  # V V-1
+        beside = beside + torch.ones_like(beside).triu()  # all but the view itself
         angles = self.angles_of(stem)
         memory_angles = angles.repeat(views - 1)
         tokens, outputs = stem.with_data(self.embed(stem.data)), {}
