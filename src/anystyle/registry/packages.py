@@ -53,14 +53,14 @@ def arguments(plugin: Plugin) -> dict[str, str] | None:
     home, source = _source(plugin)
     if source is None or plugin.defined is not None:
         return None
-    text = _Spelled(home, plugin.root).text
+    full = _Spelled(home, plugin.root).visit
     for each in source.body:
         if isinstance(each, ast.FunctionDef) and each.name == "__init__":
             own, given = ast.Name("Any"), [*each.args.args[1:], *each.args.kwonlyargs]
-            return None if each.args.kwarg else {item.arg: text(item.annotation or own) for item in given}
+            return None if each.args.kwarg else {item.arg: ast.unparse(full(item.annotation or own)) for item in given}
     is_dataclass = any("dataclass" in ast.unparse(each) for each in source.decorator_list) and not source.bases
     fields = [each for each in source.body if isinstance(each, ast.AnnAssign)]
-    return {ast.unparse(each.target): text(each.annotation) for each in fields} if is_dataclass else None
+    return {ast.unparse(each.target): ast.unparse(full(each.annotation)) for each in fields} if is_dataclass else None
 
 
 def _source(plugin: Plugin) -> tuple[str, ast.ClassDef | None]:
@@ -94,11 +94,8 @@ class _Spelled(ast.NodeTransformer):
     def __init__(self, module: str, root: Path | None) -> None:
         self.place = module, root
 
-    def text(self, annotation: ast.expr) -> str:
-        return ast.unparse(self.visit(annotation))
-
     def visit_Name(self, node: ast.Name) -> ast.AST:
-        found = None if hasattr(typing, node.id) else _defined(node.id, *self.place)[1]
+        found = None if node.id in typing.__all__ else _defined(node.id, *self.place)[1]
         return found.value if isinstance(found, ast.Assign) and "= Literal[" in ast.unparse(found) else node
 
 
