@@ -72,17 +72,27 @@ def test_a_turned_camera_gives_an_upright_picture(tmp_path, suffix, orientation)
         assert (np.asarray(open_image(path)) == np.rot90(gradient(), -1)).all()
 
 
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
+PAGE = f"\n<!DOCTYPE html>\n<html><head><title>Log in</title></head>{9999 * ' '}</html>"
+
+
 @pytest.mark.parametrize("name", ["a.jpg", "a.ply", "a.safetensors", "a.json"])
-def test_a_pointer_of_git_lfs_is_named(tmp_path, name):
-    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
-    (tmp_path / name).write_text(pointer)
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (POINTER, r"is a Git LFS pointer and not the .* itself; fetch it with git lfs pull"),
+        (PAGE, r"is a web page and not the .* itself; download the file, not its page"),
+    ],
+)
+def test_what_came_in_place_of_a_file_is_named(tmp_path, name, content, told):
+    (tmp_path / name).write_text(content)
     readers = {
         "a.jpg": image_size,
         "a.ply": Gaussians.load,
         "a.safetensors": read_header,
         "a.json": lambda path: read_json(path, dict),
     }
-    with pytest.raises(UserError, match=r"is a Git LFS pointer and not the .* itself; fetch it with git lfs pull"):
+    with pytest.raises(UserError, match=told):
         readers[name](tmp_path / name)
 
 

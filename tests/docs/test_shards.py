@@ -71,5 +71,5 @@ def test_the_plugin_keeps_the_contract_and_feeds_the_workers_of_a_training(folde
     assert_contract("scenes", type(scenes), urls="shards/{000000..000001}.tar", short_side=28)
     options = {"batch_size": 2, "context_views": (2, 2), "spread": "any", "heights": (28, 56), "width": 56}
     from_archives, from_folder = SceneBatches(scenes, **options), SceneBatches(folder, **options)
-    for step, batch in enumerate(StepLoader(from_archives, start=0, stop=3, rank=0, world=1, workers=2)):
+    for step, batch in enumerate(StepLoader(from_archives, range(3), rank=0, world=1, workers=2)):
         assert torch.equal(batch.views.images, from_folder.batch(step).views.images)

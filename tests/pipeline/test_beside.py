@@ -103,6 +103,8 @@ def test_a_checkpoint_of_a_trainer_names_what_to_type(tmp_path, name):
     for read in (inputs_of, read_saved):
         with pytest.raises(UserError, match=r"is a checkpoint.*--save_ply.*ns-export gaussian-splat"):
             read(tmp_path / name)
+    with pytest.raises(UserError, match=rf"{name} is a checkpoint.*--save_ply"):
+        inputs_of(tmp_path)  # a folder of such
 
 
 def test_the_camera_in_a_file_of_sharp_is_its_view(tmp_path):

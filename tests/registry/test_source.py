@@ -14,7 +14,7 @@ from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import VERSION_BASE, choices
-from anystyle.registry.packages import groups
+from anystyle.registry.packages import arguments, groups
 from anystyle.registry.source import PluginSource, register
 from anystyle.registry.untrusted import check_saved
 
@@ -147,3 +147,21 @@ def test_composed_configurations_can_be_written(composed):
     assert "attention: math" in text
     again = OmegaConf.create(text)
     assert build(Placement, again.placement).attention == "math"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "option", "known"),
+    [
+        ("protocol", "captures", "quality", "Literal['draft', 'good', 'best', 'full']"),
+        ("backbone", "stylos", "style_order", "Literal['global', 'frame', 'hybrid']"),
+        ("loss", "depth_consistency", "reference", "Literal['photograph', 'render']"),
+    ],
+)
+def test_types_that_another_module_names_are_read_from_sources(kind, name, option, known):
+    assert (arguments(catalog().find(kind, name)) or {})[option] == known
+
+
+def test_a_module_with_a_mistake_among_those_that_are_imported_hinders_no_listing(plugin_folder):
+    folder = plugin_folder(PLACEMENTS.replace("from typing import Literal", "from broken import Literal"), wrong="Deep")
+    (folder / "broken.py").write_text("def (")
+    assert (arguments(catalog().find("placement", "wrong")) or {})["depth"] == "int"

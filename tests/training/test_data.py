@@ -3,13 +3,14 @@
 import multiprocessing
 import os
 import signal
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from anystyle.contracts import SceneSource
 from anystyle.testing.oracle import hashed
-from anystyle.training.data import StepLoader
+from anystyle.training.data import StepData, StepLoader
 from anystyle.training.scene_cache import CachedScenes
 from anystyle.types import Cameras, Views
 
@@ -75,7 +76,7 @@ class Steps:
 def test_a_loader_starts_where_the_run_stands_and_draws_no_random_number(workers):
     torch.manual_seed(0)
     before = torch.get_rng_state()
-    loader = StepLoader(Steps(), start=3, stop=7, rank=1, world=2, workers=workers)
+    loader = StepLoader(Steps(), range(3, 7), rank=1, world=2, workers=workers)
     rows = [batch.images.flatten().tolist() for batch in loader]
     assert rows == [[step, 1, 2] for step in range(3, 7)]
     # Lightning counts the steps already done.
@@ -83,10 +84,21 @@ def test_a_loader_starts_where_the_run_stands_and_draws_no_random_number(workers
     assert torch.equal(torch.get_rng_state(), before)
 
 
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_batches_are_pinned_where_a_card_takes_them(device):
+    strategy = SimpleNamespace(root_device=torch.device(device))
+    data = StepData(Steps())
+    data.trainer = SimpleNamespace(
+        accumulate_grad_batches=2, global_step=3, max_steps=5, global_rank=0, world_size=1, strategy=strategy
+    )
+    loader = data.train_dataloader().loader
+    assert loader.pin_memory == (device == "cuda") and loader.sampler == range(6, 10)
+
+
 @pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])
 def test_signals_that_reach_the_workers_too_leave_the_training_its_batches(name):
     before = set(multiprocessing.active_children())
-    rows = iter(StepLoader(Steps(), start=0, stop=12, workers=2))
+    rows = iter(StepLoader(Steps(), range(12), workers=2))
     # A batch of each: both are up.
     assert [int(next(rows).images.flatten()[0]) for _ in range(2)] == [0, 1]
     workers = set(multiprocessing.active_children()) - before

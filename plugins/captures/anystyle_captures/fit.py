@@ -1,8 +1,10 @@
 """A scene fitted to posed photographs: depth by stereo, initial Gaussians, their optimisation."""
 
+import ctypes
 import logging
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -32,7 +34,9 @@ from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import unlike as differ
 from anystyle_captures.poses import report
 from anystyle_captures.sky import without_sky
+from anystyle_captures.start import GivenGaussians, read_start
 from anystyle_captures.stereo import plane_sweep
+from anystyle_captures.trials import try_refinement
 from anystyle_captures.twins import groups, held_out
 
 logger = logging.getLogger(__name__)
@@ -65,6 +69,8 @@ MAX_UNEXPLAINED = 0.01
 MAX_UNEXPLAINED_OF_ONE, FAR_MORE = 0.05, 5
 """The same fraction of single photographs, and its ratio to the median: a photograph of an object that had been turned
 over has 0.07, one of nothing but leaves 0.09, and others have at most 0.035."""
+WARMTH, COARSE = 0.5, 0.3
+"""Of a fit that begins with a given scene: see :class:`FitOptions`."""
 
 Refine = Literal["none", "poses", "lenses"]
 QualityLevel = Literal["draft", "good", "best", "full"]
@@ -83,6 +89,8 @@ class Fit(Reconstruction):
             together with those that show the same; the final steps see all views. Fewer views are not held out; 0 holds
             out none.
         refine: Whether the fit refines cameras that are not exact: ``poses``, or ``lenses`` (focal lengths, too).
+        start: A folder of results or a file of Gaussians to begin with, in place of depths by stereo, in half of the
+            quality's steps.
         state: A file to write the fit to as it goes, and to resume it from.
         keep: Whether the fitted scene is cached, and read from the cache when the same photographs are fitted again
             with the same options.
@@ -100,6 +108,7 @@ class Fit(Reconstruction):
         degree: Count = 0,
         holdout: Count = 8,
         refine: Refine = "none",
+        start: str | None = None,
         state: str | None = None,
         keep: bool = True,
         seed: int = 0,
@@ -109,6 +118,7 @@ class Fit(Reconstruction):
         self.num_gaussians, self.num_steps = num_gaussians, num_steps
         self.degree, self.seed = degree, seed
         self.holdout, self.refine, self.keep = holdout, refine, keep
+        self.start = None if start is None else expanded(start)
         self.state = None if state is None else expanded(state)
 
     def amounts(self, num_views: int) -> tuple[int, FitOptions]:
@@ -144,6 +154,9 @@ class Fit(Reconstruction):
                 f"{'with' if views.cameras else 'without'} them; poses=sfm finds cameras"
             )
         num_gaussians, options = self.amounts(views.images.shape[1])
+        start = None if self.start is None else read_start(self.start, views)
+        if start is not None:
+            num_gaussians, options = len(start.footprints), warm(options, half=self.num_steps is None)
         parameters = num_gaussians * (11 + 3 * (self.degree + 1) ** 2)
         # Each with its gradient and the optimiser's two moments.
         require(4 * 4 * parameters, f"{num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
@@ -157,6 +170,7 @@ class Fit(Reconstruction):
                 num_gaussians=num_gaussians,
                 options=options,
                 points=points,
+                start=start,
                 heldout=heldout,
                 masks=masks,
                 state=self.state,
@@ -191,7 +205,21 @@ class Fit(Reconstruction):
             views = replace(views, cameras=refined)
         measures |= {f"heldout_{name}": value for name, value in heldout.items()}
         views = to_paint(views, result, renderer, unlike)
-        return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
+        scene = scene_of_fit(views, encode(views), result, renderer)
+        _give_back()
+        return Reconstructed(scene, measures)
+
+
+def _give_back() -> None:
+    """Return the memory that steps used to the system, where its allocator (glibc) is asked to; others return it."""
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def warm(options: FitOptions, *, half: bool) -> FitOptions:
+    """Options of a fit that begins with a given scene; ``half``: in half of the steps."""
+    steps, final = (math.ceil(number / (2 if half else 1)) for number in (options.num_steps, options.final_steps))
+    return replace(options, num_steps=steps, final_steps=final, warmth=WARMTH, half_resolution=COARSE)
 
 
 def unlike_most(unexplained: Float[Tensor, " V"], usual: float) -> list[int]:
@@ -228,13 +256,14 @@ def fit_photographs(
     num_gaussians: int,
     options: FitOptions,
     points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+    start: GivenGaussians | None = None,
     heldout: Sequence[int] = (),
     masks: Masks | None = None,
     state: Path | None = None,
     keep: bool = False,
     on_progress: OnProgress = no_progress,
 ) -> FitResult:
-    """Fit Gaussians to photographs: initial ones by stereo, then all their attributes through the renderer.
+    """Fit Gaussians to photographs: initial ones by stereo, or those given, then all their attributes by renders.
 
     The same photographs give the same Gaussians, bit for bit, in whatever order they are given.
     """
@@ -246,16 +275,33 @@ def fit_photographs(
     settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple))}
     masked = () if masks is None else (masks.alpha, masks.valid)
     given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
-    key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings, *masked)
+    begun = () if start is None else vars(start.given).values()
+    key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings, *masked, *begun)
 
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
         initial = partial(_initial, images, points, masks, num_gaussians, options.seed)
-        start = initial(cameras, training, training)
-        loop = FitLoop(images, cameras, start, renderer, options, heldout=hidden, initial=initial, masks=masks)
+        rest = {"heldout": hidden, "initial": None if start else initial, "masks": masks}
+
+        def begin(cameras: Cameras, first: InitialScene, options: FitOptions) -> FitLoop:
+            return FitLoop(images, cameras, first, renderer, options, **rest)
+
+        written = None if state is None else _written(state, key, images.device)
+        posed = cameras if written is None else replace(cameras, **written["given"])
+        if start is not None and options.refine == "none":
+            first = InitialScene(start)
+        else:  # depths that agree tell whether cameras are better refined
+            first = initial(posed, training, training)
+            first = first if start is None else first._replace(gaussians=start)
+        given = posed, first, options
+        if options.refine != "none" and written is None:
+            given = try_refinement(*given, begin, lambda found: initial(found, training, training))
+        loop = begin(*given)
         if state is None:
             return loop.run(on_progress).as_dict()
-        _resume(loop, state, key, images.device)
+        if written is not None:
+            loop.load_state_dict(written)
+            logger.info("the fit goes on at step %d of %d", loop.step, loop.last_step)
         result = loop.run(on_progress, partial(_write_state, loop, state, key))
         state.unlink(missing_ok=True)
         return result.as_dict()
@@ -277,10 +323,10 @@ def _write_state(loop: FitLoop, path: Path, key: str) -> None:
         torch.save({"key": key, "fit": loop.state_dict()}, file)
 
 
-def _resume(loop: FitLoop, path: Path, key: str, device: torch.device) -> None:
-    """Resume an interrupted fit. A state of other photographs or options is renamed, and the fit starts afresh."""
+def _written(path: Path, key: str, device: torch.device) -> dict[str, Any] | None:
+    """The state of an interrupted fit, if there is one. That of other photographs or options is renamed."""
     if not path.is_file():
-        return
+        return None
     written = read_tensors(path, what="state of a fit; name another file as state, or delete it", device=device)
     if not isinstance(written, dict) or set(written) != {"key", "fit"}:
         raise UserError(f"{path} is not a state of a fit; name another file as state")
@@ -290,9 +336,8 @@ def _resume(loop: FitLoop, path: Path, key: str, device: torch.device) -> None:
         logger.warning(
             "%s was written for other photographs or options: it is %s now, and the fit begins anew", path, aside.name
         )
-        return
-    loop.load_state_dict(written["fit"])
-    logger.info("the fit goes on at step %d of %d", loop.step, loop.last_step)
+        return None
+    return written["fit"]
 
 
 def _initial(

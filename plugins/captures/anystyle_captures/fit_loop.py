@@ -15,14 +15,14 @@ from torch.nn.functional import interpolate
 
 from anystyle.contracts import Renderer
 from anystyle.errors import UserError
-from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress, no_progress
 from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
-from anystyle_captures.poses import LEFT, MAX_RATE, REACH, RefinedCameras, difference
+from anystyle_captures.poses import LEFT, MAX_RATE, REACH, RefinedCameras
+from anystyle_captures.start import GivenGaussians
 
 logger = logging.getLogger(__name__)
 RATES = {
@@ -34,8 +34,6 @@ RATES = {
     "harmonics": (0.001, 0.3),  # of the others
 }
 """The learning rate at the start, and the fraction of it that is left at the end."""
-OPACITY = 0.4
-"""The opacity of every Gaussian at the start."""
 DSSIM = 0.2
 """Weight of 1 - SSIM beside L1, as in 3D Gaussian splatting."""
 MIN_OPACITY, MAX_FOOTPRINTS, NEAREST = 0.02, 60.0, 0.03
@@ -47,16 +45,14 @@ PRUNE_EVERY = 200
 """Steps between removals of Gaussians."""
 NEAREST_EXPOSURES = 2
 """A held-out view takes the exposure of this many nearest training views."""
-REFINE_FROM, ANEW, MAX_ANEW, BETTER = 0.1, 0.0017, 1, 1.02
-"""The fraction of the steps after which cameras are refined; how far they may have moved when the coarse steps end, in
-radians and median depths, before all begins anew from them; how often it does; and how many times as many pixels stereo
-must agree in by them, or else those that were given are kept. 0.0017 are 0.1 degrees."""
+REFINE_FROM = 0.1
+"""The fraction of the steps after which cameras are refined."""
 
 
 class InitialScene(NamedTuple):
     """What a fit begins with."""
 
-    gaussians: InitialGaussians
+    gaussians: InitialGaussians | GivenGaussians
     free_space: FreeSpace | None = None
     confirmed: float = 0.0  # fraction of the pixels whose depth by stereo another view confirms
 
@@ -68,6 +64,7 @@ class FitOptions:
     num_steps: int = 1000  # of one view each
     half_resolution: float = 0.6  # fraction of the steps that is taken at half the resolution
     dropout: float = 0.1  # fraction of the Gaussians that a step leaves out, as DropGaussian (Park et al. 2025)
+    warmth: float = 0.0  # fraction of the fall of rates that a given start is beyond
     degree: int = 0  # of the spherical harmonics
     exposure_lr: float = 0.002  # falls to a tenth; 0 disables exposure
     scale_weight: float = 0.0  # of the mean scale in footprints: only small Gaussians leave room for a style's strokes
@@ -184,36 +181,32 @@ class FitLoop:
         self.step = 0
         self.quality: Quality | None = None
         self.aligned_psnr: float | None = None
-        self.begun = 0
-        self.order, self.recent = (
-            list[int](),
-            list[Tensor](),
-        )  # views that are left of a pass; the PSNR of the last pass
+        # Views that are left of a pass; the PSNR of the last pass.
+        self.order, self.recent = list[int](), list[Tensor]()
         self.images, self.given, self.renderer, self.options = images, cameras, renderer, options
         self.heldout = heldout
         self.half_size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images = interpolate(images, size=self.half_size, mode="area")
         self.half_masks = None if masks is None else masks.resized(self.half_size)
-        self._begin(start)
+        self.free_space = start.free_space
+        depth = float((start.gaussians.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
+        self.nearest, refine = NEAREST * depth, options.refine
+        self.refined = None if refine == "none" else RefinedCameras(cameras, depth, lenses=refine == "lenses")
+        self.splats = _parameters(start.gaussians.gaussians(options.degree), start.gaussians.footprints)
+        self._carve()
         self.background = background(renderer, self.gaussians(), cameras)
         self.exposures = Exposures(cameras, self.training)
         self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr, fused=True)
-
-    def _begin(self, start: InitialScene) -> None:
-        """Begin at the first step, with the cameras as they are now."""
-        cameras = self.cameras if self.begun else self.given
-        initial, self.free_space, self.confirmed = start
-        depth = float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
-        self.nearest, refine = NEAREST * depth, self.options.refine
-        self.refined = None if refine == "none" else RefinedCameras(cameras, depth, lenses=refine == "lenses")
-        self.splats = _parameters(_round_gaussians(initial, self.options.degree), initial.footprints)
-        self.step, self.order, self.begun = 0, [], self.begun + 1
-        self._carve()
 
     @property
     def cameras(self) -> Cameras:
         """The cameras of all views, as they are now."""
         return self.given if self.refined is None else self.refined.now()
+
+    @property
+    def moved(self) -> float:
+        """The root mean square of how far training cameras were moved, in radians and median depths."""
+        return 0.0 if self.refined is None else self.refined.moved(self.training)
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, a batch of one scene."""
@@ -223,6 +216,7 @@ class FitLoop:
         """Take one step, on one view, and return the PSNR before it, which a card has not computed yet."""
         options = self.options
         fraction = self.step / options.num_steps
+        fraction = options.warmth + (1 - options.warmth) * fraction
         if fraction >= 1:  # rates rise again for the views that were held out
             fraction = (1 + (self.step - options.num_steps) / options.final_steps) / 2
         self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
@@ -328,9 +322,6 @@ class FitLoop:
         started, first = time.monotonic(), self.step
         while self.step < self.last_step:
             self.recent = [*self.recent[1 - len(self.training) :], self.advance()]
-            if self._begins_anew():
-                started, first = time.monotonic(), 0
-                continue
             # Held-out views are included after the last step without them.
             if self.step % self.options.evaluate_every and self.step not in (self.last_step, self.options.num_steps):
                 continue
@@ -366,26 +357,6 @@ class FitLoop:
         """The number of all steps."""
         return self.options.num_steps + (self.options.final_steps if self.heldout else 0)
 
-    def _begins_anew(self) -> bool:
-        """Once the coarse steps end, begin anew with cameras that moved far; without them if no more depths agree."""
-        if self.refined is None or self.initial is None or self.begun > MAX_ANEW:
-            return False
-        coarse = math.ceil(self.options.half_resolution * self.options.num_steps)
-        if self.step != coarse or self.refined.moved(self.training) < ANEW:
-            return False
-        moved = difference(self.refined.given.select(self.training), self.cameras.select(self.training))
-        start = self.initial(self.cameras, self.training, self.training)
-        better = start.confirmed > BETTER * self.confirmed
-        shares = 100 * start.confirmed, 100 * self.confirmed
-        logger.info("cameras moved by %.2f° and %.1f%% of their radius", moved[0], 100 * moved[1])
-        then = "the fit begins anew from them" if better else "those that were given are kept"
-        logger.info("stereo agrees in %.1f%% of the pixels, before in %.1f%%: %s", *shares, then)
-        if better:
-            self._begin(start)
-        else:
-            self.given, self.refined = self.refined.given, None
-        return better
-
     def _align_heldout(self, refined: RefinedCameras) -> None:
         """Refine the cameras of views held out, against the scene as it is."""
         views = [view for view in self.heldout if view in self.useful]
@@ -405,8 +376,7 @@ class FitLoop:
                 self.exposures.values[view] = self.exposures.of(view)
         if self.initial is not None:
             added, self.free_space, _ = self.initial(self.cameras, range(len(self.images)), self.heldout)
-            new = _round_gaussians(added, self.options.degree)
-            together = Gaussians.cat([self.gaussians().detach(), new], dim=1)
+            together = Gaussians.cat([self.gaussians().detach(), added.gaussians(self.options.degree)], dim=1)
             self.splats = _parameters(together, torch.cat([self.splats.units, added.footprints]))
             self._clear()
         self.training = self.useful
@@ -447,8 +417,8 @@ class FitLoop:
             "exposure_optimizer": self.exposure_optimizer.state_dict(),
             "quality": self.quality and tuple(self.quality),
             "aligned_psnr": self.aligned_psnr,
-            "begun": self.begun,
             "nearest": self.nearest,
+            "given": {name: getattr(self.given, name) for name in ("world_from_camera", "intrinsics")},
             "free_space": self.free_space and (self.free_space.surfaces, *vars(self.free_space.cameras).values()),
             "refined": self.refined and self.refined.state_dict(),
         }
@@ -463,7 +433,7 @@ class FitLoop:
         self.exposure_optimizer.load_state_dict(state["exposure_optimizer"])
         self.exposures.train(self.training)
         self.quality = state["quality"] and Quality(*state["quality"])
-        self.aligned_psnr, self.begun, self.nearest = (state[name] for name in ("aligned_psnr", "begun", "nearest"))
+        self.aligned_psnr, self.nearest = state["aligned_psnr"], state["nearest"]
         self.free_space = None
         if state["free_space"] is not None:
             surfaces, *cameras = state["free_space"]
@@ -483,15 +453,3 @@ def background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Fl
 
 def _parameters(gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
     return GaussianParameters(gaussians, {name: rate for name, (rate, _) in RATES.items()}, footprints)
-
-
-def _round_gaussians(initial: InitialGaussians, degree: int) -> Gaussians:
-    count, like = len(initial.means), initial.means
-    colors = constant_from_rgb(initial.colors)[:, None]
-    return Gaussians(
-        means=like[None],
-        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).to(like).repeat(1, count, 1),
-        scales=initial.scales[None, :, None].repeat(1, 1, 3),
-        opacities=like.new_full((1, count), OPACITY),
-        harmonics=torch.cat([colors, like.new_zeros(count, (degree + 1) ** 2 - 1, 3)], dim=1)[None],
-    )

@@ -9,7 +9,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from anystyle.errors import UserError
-from anystyle.types import Cameras, Value
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.types import Cameras, Gaussians, Value
 from anystyle_captures.stereo import StereoDepth
 
 BACKDROP = 3.0
@@ -20,6 +21,8 @@ NEIGHBORS = 3
 """The scale of a Gaussian is a fraction of the mean distance to this many nearest ones."""
 SURFACE, OVERLAP = 0.7, 1.4
 """That fraction, and that of the backdrop, which is to be opaque where no photograph teaches it."""
+OPACITY = 0.4
+"""The opacity of every Gaussian at the start."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,17 @@ class InitialGaussians(Value):
     colors: Float[Tensor, "N 3"]
     footprints: Float[Tensor, " N"]
     pixels: Int[Tensor, "N 3"]
+
+    def gaussians(self, degree: int) -> Gaussians:
+        """The same with everything that a fit changes."""
+        colors = constant_from_rgb(self.colors)[:, None]
+        return Gaussians(
+            means=self.means[None],
+            rotations=self.means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(1, len(self.means), 1),
+            scales=self.scales[None, :, None].repeat(1, 1, 3),
+            opacities=self.means.new_full((1, len(self.means)), OPACITY),
+            harmonics=pad(colors, (0, 0, 0, (degree + 1) ** 2 - 1))[None],
+        )
 
 
 def from_stereo(

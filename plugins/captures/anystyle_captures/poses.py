@@ -99,8 +99,9 @@ class RefinedCameras:
         motions[training] = torch.cat(back, dim=1)
 
     def moved(self, views: list[int]) -> float:
-        """The root mean square of how far cameras were turned and moved, in radians and units."""
-        return float(self.values["poses"].detach()[views].square().sum(1).mean().sqrt())
+        """The root mean square of how far cameras were turned, moved and zoomed, in radians and units."""
+        values = torch.cat([value.detach() for value in self.values.values()], dim=1)
+        return float(values[views].square().sum(1).mean().sqrt())
 
     @torch.no_grad()
     def align(
@@ -144,13 +145,11 @@ class RefinedCameras:
                 break
 
     def state_dict(self) -> dict[str, Any]:
-        given = self.given.world_from_camera, self.given.intrinsics
         values = {name: value.detach() for name, value in self.values.items()}
-        return {"given": given, "unit": self.unit, "values": values, "moments": self.moments, "visits": self.visits}
+        return {"unit": self.unit, "values": values, "moments": self.moments, "visits": self.visits}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        pose, intrinsics = state["given"]
-        self.given, self.unit = Cameras(pose, intrinsics, self.given.size), state["unit"]
+        self.unit = state["unit"]
         self.values = {name: value.requires_grad_() for name, value in state["values"].items()}
         self.moments, self.visits = state["moments"], list(state["visits"])
 

@@ -9,7 +9,7 @@ import torch
 from anystyle.geometry.transforms import matrix_from_vector
 from anystyle_captures import fit_loop
 from anystyle_captures.fit_loop import Exposures, FitLoop, FitOptions, InitialScene
-from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo, lift
+from anystyle_captures.initial import OPACITY, InitialGaussians, backdrop, from_stereo, lift
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.kernels import Kernels
 from tests.support.known_scene import photographed_wall, rig, stereo_of
@@ -117,7 +117,7 @@ def test_a_step_leaves_out_some_gaussians_and_the_others_stand_in(photographs):
     FitLoop(images, cameras, InitialScene(initial(photographs)), renderer, FitOptions(dropout=0.2)).advance()
     kept = drawn[-1] > 0
     assert abs(float(kept.float().mean()) - 0.8) < 0.05
-    torch.testing.assert_close(drawn[-1], fit_loop.OPACITY / 0.8 * kept)
+    torch.testing.assert_close(drawn[-1], OPACITY / 0.8 * kept)
 
 
 @pytest.mark.parametrize("refine", ["none", "poses"])

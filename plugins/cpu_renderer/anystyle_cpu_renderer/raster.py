@@ -44,11 +44,11 @@ class BlendedView(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """The shares of Gaussians in the pixels of a row of tiles, by runs of pixels that one splat covers in one line.
+    """The shares of Gaussians in pixels, by runs of pixels that one splat covers in one line.
 
     Args:
         runs: ``[n, 3]``: the Gaussian, the first pixel, row by row through the image, and the number of pixels.
-        values: The shares of each run's pixels, one run after another.
+        values: The shares of each run's pixels in :data:`STEPS`, one run after another.
     """
 
     runs: Array
@@ -95,6 +95,8 @@ BLOCK = 32
 """Splats of a tile that are blended before it is looked whether all its pixels are full."""
 
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+STEPS = np.float32(65535)
+"""Of shares that are kept, which lie in [0, 1]: half of the memory of a view."""
 ALMOST = np.float32(0.9999)
 """Added before truncation to an integer, to round up."""
 MARGIN = np.float32(0.01)
@@ -323,7 +325,7 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
 def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, top: int, cap: float) -> Shares:
     """The shares of Gaussians in the pixels of a row of tiles, ``tall`` pixels high; ``owners`` are those of splats."""
     lists, offsets = tiles
-    runs, values = np.empty((1 << 14, 3), np.int32), np.empty(max(8 * lists.shape[0], 1 << 14), np.float32)
+    runs, values = np.empty((1 << 14, 3), np.int32), np.empty(max(8 * lists.shape[0], 1 << 14), np.uint16)
     number = length = 0
     # Planes: transmittance (negative once the pixel is full), the share of the current splat, column, row.
     tile = np.empty((4, HEIGHT * WIDTH), np.float32)
@@ -366,7 +368,7 @@ def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, to
                     runs[number, 0], runs[number, 1], runs[number, 2] = owner, pixel, stop - first
                     number += 1
                     for i in range(first, stop):
-                        values[length] = tile[1, i]
+                        values[length] = np.uint16(tile[1, i] * STEPS + HALF)
                         length += 1
     return Shares(runs[:number].copy(), values[:length].copy())
 
@@ -378,9 +380,9 @@ def mix(shares: Shares, colors: Array, image: Array) -> None:
     at = np.uint64(0)
     for run in range(runs.shape[0]):
         owner, pixel, count = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]), np.uint64(runs[run, 2])
-        red, green, blue = colors[owner, 0], colors[owner, 1], colors[owner, 2]
+        red, green, blue = colors[owner, 0] / STEPS, colors[owner, 1] / STEPS, colors[owner, 2] / STEPS
         for i in range(count):
-            share = values[at + i]
+            share = np.float32(values[at + i])
             image[pixel + i, 0] += share * red
             image[pixel + i, 1] += share * green
             image[pixel + i, 2] += share * blue
@@ -396,13 +398,13 @@ def mix_transposed(shares: Shares, image: Array, colors: Array) -> None:
         owner, pixel, count = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]), np.uint64(runs[run, 2])
         red = green = blue = ZERO
         for i in range(count):
-            share = values[at + i]
+            share = np.float32(values[at + i])
             red += share * image[pixel + i, 0]
             green += share * image[pixel + i, 1]
             blue += share * image[pixel + i, 2]
-        colors[owner, 0] += red
-        colors[owner, 1] += green
-        colors[owner, 2] += blue
+        colors[owner, 0] += red / STEPS
+        colors[owner, 1] += green / STEPS
+        colors[owner, 2] += blue / STEPS
         at += count
 
 

@@ -62,7 +62,7 @@ class _Shares(LinearView):
 
     def __init__(
         self,
-        shares: list[Shares],
+        shares: Shares,
         number: int,
         image: Float[Tensor, "1 1 5 H W"],
         background: tuple[float, float, float],
@@ -70,19 +70,17 @@ class _Shares(LinearView):
         self._shares, self._number = shares, number
         self.render = composite(image, background)
         self.background = image[0, 0, 4] * torch.tensor(background)[:, None, None]
-        self.nbytes = sum(array.nbytes for part in shares for array in part)
+        self.nbytes = sum(array.nbytes for array in shares)
 
     def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
         given, image = colors.detach().float().contiguous().numpy(), torch.zeros(self.background[0].numel(), 3)
-        for part in self._shares:
-            raster.mix(part, given, image.numpy())
+        raster.mix(self._shares, given, image.numpy())
         return image.T.reshape(self.background.shape)
 
     def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
         image = pixels.detach().float().flatten(1).T.contiguous().numpy()
         colors = torch.zeros(self._number, 3)
-        for part in self._shares:
-            raster.mix_transposed(part, image, colors.numpy())
+        raster.mix_transposed(self._shares, image, colors.numpy())
         return colors
 
 

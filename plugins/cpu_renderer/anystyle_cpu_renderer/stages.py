@@ -119,8 +119,8 @@ def blend(
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
 
 
-def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper) -> list[Shares]:
-    """The shares of Gaussians in the pixels of each row of tiles; the image ``[5, H, W]`` is written, too."""
+def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper) -> Shares:
+    """The shares of Gaussians in the pixels of a view; the image ``[5, H, W]`` is written, too."""
     size = image.shape[1:]
     last = np.empty(size, np.int32)
 
@@ -130,7 +130,8 @@ def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper
         raster.blend(part, tiles, top, cap, image, last)
         return raster.shares(part, owners, tiles, min(raster.HEIGHT, size[0] - top), size[1], top, cap)
 
-    return list(run(job, range(len(splats.offsets) - 1)))
+    # In one piece: those of many views would leave gaps in memory where the rows of each grew.
+    return Shares(*map(np.concatenate, zip(*run(job, range(len(splats.offsets) - 1)), strict=True)))
 
 
 def blend_backward(

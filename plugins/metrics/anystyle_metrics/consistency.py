@@ -52,6 +52,7 @@ COLUMNS = ("first", "second", "overlap", "coverage", "verified", "consistency", 
 """What is known of each pair."""
 FOLLOWED = "consistency: without depth and cameras, pixels are followed by flow between the photographs"
 TOO_FLAT = "the views are too flat or too blurred to judge"
+ONE_VIEW = "one view has no other to agree with"
 NO_EVIDENCE = "the photographs agree in no pair of views: too little overlap, or depth or cameras are wrong"
 
 
@@ -331,7 +332,7 @@ class Consistency(Metric):
         structure = disagreement(first, second, links.verified)
         changes = flicker(colour_shift(views, first, second, links.verified), allowed)
         changes = changes.where(~structure.isnan(), torch.nan)
-        self._lacking = TOO_FLAT if len(structure) else NO_EVIDENCE
+        self._lacking = TOO_FLAT if len(structure) else NO_EVIDENCE if len(views) > 1 else ONE_VIEW
         coverage, share = links.verified.float().mean((1, 2)), links.verified.sum((1, 2)) / links.seen.sum((1, 2))
         known = (links.first, links.second, links.overlap, coverage, share, structure, changes)
         table = zip(*(column.tolist() for column in known), strict=True)

@@ -136,6 +136,8 @@ def test_without_evidence_there_is_no_score():
     with pytest.warns(UserWarning, match="flow between the photographs"):
         assert scores(metric, images, images)["consistency"] < 0.5
     assert np.isnan(scores(metric, noise(1), noise(1))["consistency"])
+    with pytest.warns(UserWarning, match="one view has no other to agree with"):
+        assert np.isnan(scores(metric, images[:1], images[:1])["consistency"])
 
 
 @pytest.mark.parametrize("name", CAPTURES)

@@ -92,7 +92,8 @@ def check(
     if not responses:
         names = [exclusion.rule for exclusion in checks.exclusions]
         reasons = [f"{names.count(rule)} participant(s) with {rule}" for rule in dict.fromkeys(names)]
-        why = "; ".join(reasons) or "every score is missing or outside the scale"
+        unpaired = "nobody rated both methods, ours and theirs, of a set"
+        why = "; ".join(reasons) or (unpaired if remaining else "every score is missing or outside the scale")
         raise UserError(f"no answers are left of {checks.answers_read}: {why}")
     checks.answers_used = len(remaining)
     checks.notes += _notes(records, remaining, checks)
@@ -220,7 +221,11 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
     for question, given in _grouped(answers, "question").items():
         scale, scores = scales[question], [answer.score for answer in given if not math.isnan(answer.score)]
         strange = [answer.score for answer in filter(outside, given)]
-        if len(strange) > _MAX_OUTSIDE * len(scores):
+        # Buttons that are counted from 0 fit a scale of the same length: few are outside, and all others are shifted.
+        shifted = {*strange} in ({scale.low - 1}, {scale.high + 1}) and max(scores) - min(
+            scores
+        ) <= scale.high - scale.low
+        if shifted or len(strange) > _MAX_OUTSIDE * len(scores):
             farthest = max(strange, key=lambda score: abs(score - scale.midpoint))
             raise UserError(
                 f"question {question!r} has answers from {min(scores):g} to {max(scores):g} where the "

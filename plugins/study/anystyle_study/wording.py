@@ -119,7 +119,9 @@ def registered(analysis: Analysis) -> list[str]:
             f"{len(study.items)} sets each, {study.compared}; {plan.degraded} degraded and "
             f"{plan.repeats} repeated sets each as attention checks. {'; '.join(asked)}."
         )
-    excluded = [f"miss more than {percent(rules.missing_share)} of the answers they were assigned"]
+    excluded = list[str]()
+    if rules.missing_share < 1:
+        excluded.append(f"miss more than {percent(rules.missing_share)} of the answers they were assigned")
     if rules.failed_checks is not None:
         excluded.append(f"fail more than {rules.failed_checks} attention checks")
     if rules.min_seconds:
@@ -129,7 +131,8 @@ def registered(analysis: Analysis) -> list[str]:
         excluded.append("give one answer throughout every question")
     first = "Of several answers to one question the first that is not empty counts."
     changed = " These rules are not the design's." if study is not None and rules != study.plan.rules else ""
-    lines.append(f"Participants are excluded who {' or '.join(excluded)}. {first}{changed}")
+    who = f"Participants are excluded who {' or '.join(excluded)}." if excluded else "No rule excludes participants."
+    lines.append(f"{who} {first}{changed}")
     margin = "No equivalence margin was set."
     if settings.margin is not None:
         way = f"{percent(settings.margin)} of the way from neutral to the end of the scale"

@@ -18,7 +18,7 @@ from anystyle_study.reading import read_responses
 from anystyle_study.report import html as report_html
 from anystyle_study.report import latex, markdown
 from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
-from anystyle_study.wording import p_text, response_level, took_part, verdict
+from anystyle_study.wording import p_text, registered, response_level, took_part, verdict
 from tests.support.study_cases import answer_rows, small_study, write_csv
 
 PLAIN = {"one_sample_t": OneSampleT(), "wilcoxon": Wilcoxon()}
@@ -218,6 +218,7 @@ def test_the_text_names_what_is_missing(tmp_path):
     scales = {"style": Scale(), "content": Scale(1, 5)}
     settings = AnalysisOptions(scales=scales, rules=Rules(missing_share=1.0, failed_checks=None), study=designed)
     found = analyze(records, {"one_sample_t": TESTS["one_sample_t"]}, settings)
+    assert any("No rule excludes participants." in text for text in registered(found))
     assert took_part(found).endswith(
         "9 answers are missing (style 4, content 5), of P01: style 4; P02: content 5. Those outside of the scale count "
         "as missing: 1, of P02. Nobody answered as P03, P04."

@@ -302,6 +302,24 @@ def test_mixed_scales_are_refused(tmp_path):
     assert np.abs(style.deviations).max() <= 60
 
 
+@pytest.mark.parametrize(("shift", "found"), [(-1, "0 to 4"), (1, "2 to 6")])
+def test_a_shifted_scale_is_refused_however_few_of_its_answers_are_outside(tmp_path, shift, found):
+    outer = 1 if shift < 0 else 5
+    rows = [(*row[:3], 2 + place % 3 + shift, row[4]) for place, row in enumerate(answer_rows())]
+    rows[:2] = [(*row[:3], score + shift, row[4]) for row, score in zip(rows, (outer, 6 - outer), strict=False)]
+    with pytest.raises(
+        ValueError, match=f"answers from {found} where the scale is 1 to 5.* --label={outer + shift}=NA"
+    ):
+        judged(write_csv(tmp_path / "r.csv", rows))
+
+
+def test_ratings_of_ours_alone_are_told(tmp_path):
+    rows = [(*row[:4], "ours") for row in answer_rows()]
+    path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,method")
+    with pytest.raises(ValueError, match=r"no answers are left of \d+: nobody rated both methods, ours and theirs"):
+        judged(path)
+
+
 def test_nothing_left_is_said(tmp_path):
     path = write_csv(
         tmp_path / "r.csv",

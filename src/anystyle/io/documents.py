@@ -7,6 +7,7 @@ expected. Only regular files of bounded size, depth and number of values are rea
 import codecs
 import math
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Callable, Mapping
@@ -49,7 +50,7 @@ MAX_DEPTH = 48
 MAX_PARTS, MAX_YAML_PARTS = 2_000_000, 100_000
 
 
-_POINTER = b"version https://git-lfs"
+_INSTEAD = re.compile(rb"\s*(?:(version https://git-lfs)|<!doctype html|<html)", re.IGNORECASE)
 
 
 def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file") -> Path:
@@ -65,8 +66,9 @@ def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file
         raise UserError(f"{path} is not a regular file; a {what} is expected")
     if most is not None and state.st_size > most:
         raise UserError(f"{path} has {state.st_size:,} bytes; a {what} of at most {most:,} is expected")
-    if state.st_size < 1024 and os.access(path, os.R_OK) and path.read_bytes().startswith(_POINTER):
-        raise UserError(f"{path} is a Git LFS pointer and not the {what} itself; fetch it with git lfs pull")
+    if state.st_size < 1 << 20 and os.access(path, os.R_OK) and (found := _INSTEAD.match(path.read_bytes())):
+        way = "fetch it with git lfs pull" if found[1] else "download the file, not its page"
+        raise UserError(f"{path} is a {'Git LFS pointer' if found[1] else 'web page'} and not the {what} itself; {way}")
     return path
 
 

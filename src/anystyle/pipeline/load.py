@@ -28,6 +28,7 @@ from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.io.limits import require
 from anystyle.paths import expanded
+from anystyle.pipeline.compiling import compile_blocks
 from anystyle.pipeline.options import BranchOptions
 from anystyle.pipeline.request import Request
 from anystyle.registry.build import build, build_all, choice
@@ -41,6 +42,7 @@ from anystyle.vision import weights
 _log = logging.getLogger(__name__)
 
 PARTS = ("backbone", "style_encoder", "branch")
+CPU = torch.device("cpu")
 PRECISIONS = ("auto", "fp32", "bf16", "reference")
 StateDict = Mapping[str, Tensor]
 _SMALLER = "choose a smaller one with model=NAME"
@@ -176,16 +178,16 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
     return stylizer, loaded
 
 
-def assemble_frozen(
-    config: DictConfig, device: torch.device | None = None
-) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
+def assemble_frozen(config: DictConfig, device: torch.device = CPU) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
     """As :func:`assemble`, for inference on a device, by default the CPU: in ``eval`` mode, without gradients."""
-    device = device or torch.device("cpu")
     if config.precision == "auto":
         config = config.copy()
         config.precision = "fp32" if device.type == "cpu" else "reference"
     stylizer, loaded = assemble(config)
-    return stylizer.requires_grad_(False).eval().to(device), loaded
+    stylizer = stylizer.requires_grad_(False).eval().to(device)
+    if config.get("compile"):
+        compile_blocks(stylizer)
+    return stylizer, loaded
 
 
 def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
@@ -263,12 +265,12 @@ def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:
 def default_device() -> torch.device:
     """A CUDA device if there is one that computes, else the CPU; a warning says why one does not."""
     if not torch.cuda.is_available():
-        return torch.device("cpu")
+        return CPU
     try:
         torch.ones(2, device="cuda").sum().item()
     except (RuntimeError, AssertionError) as error:  # too old for this PyTorch, or full with what others compute
         _log.warning("the graphics card is not used, and the CPU computes (%s)", one_line(error))
-        return torch.device("cpu")
+        return CPU
     return torch.device("cuda")
 
 

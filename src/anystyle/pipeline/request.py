@@ -79,12 +79,13 @@ def file_of(path: Path) -> Path:
         PosixPath('scene.ply')
 
     Raises:
-        UserError: It is a checkpoint of a trainer.
+        UserError: It is a checkpoint of a trainer, or a folder of such.
     """
-    if path.suffix.lower() in CHECKPOINTS and path.is_file():
+    held = [path] if path.is_file() else [*path.glob("[!.]*")]
+    if held and all(each.suffix.lower() in CHECKPOINTS for each in held):
         raise UserError(
-            f"{path} is a checkpoint, and files of Gaussians are read: gsplat's trainer writes a PLY with --save_ply, "
-            "nerfstudio's scene becomes one by ns-export gaussian-splat"
+            f"{held[0]} is a checkpoint, and files of Gaussians are read: gsplat's trainer writes a PLY with "
+            "--save_ply, nerfstudio's scene becomes one by ns-export gaussian-splat"
         )
     found = path.glob("point_cloud/iteration_*/point_cloud.ply") if path.is_dir() else ()
     return max(found, key=lambda file: natural(file.parent.name), default=path)

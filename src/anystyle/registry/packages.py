@@ -4,6 +4,7 @@ import ast
 import importlib.machinery
 import importlib.util
 import inspect
+import typing
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -28,7 +29,7 @@ def source_file(module: str, root: Path | None) -> Path | None:
 def first_line(plugin: Plugin) -> str:
     """The first line of the docstring of a plugin's class, read from its source, for importing it may take seconds."""
     text = plugin.defined and inspect.getdoc(plugin.defined)
-    if text is None and (source := _source(plugin)) is not None:
+    if text is None and (source := _source(plugin)[1]) is not None:
         text = ast.get_docstring(source)
     return text.partition("\n")[0] if text else f"(not described in {plugin.target})"
 
@@ -39,7 +40,7 @@ def constant(plugin: Plugin, name: str) -> Any:
     Raises:
         PluginError: The class has to be imported, and cannot be.
     """
-    source = _source(plugin) if plugin.defined is None else None
+    source = _source(plugin)[1] if plugin.defined is None else None
     for statement in source.body if source is not None else ():
         if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == name:
             with suppress(ValueError):
@@ -49,51 +50,53 @@ def constant(plugin: Plugin, name: str) -> Any:
 
 def arguments(plugin: Plugin) -> dict[str, str] | None:
     """What a plugin's constructor takes, with annotations, read from its source; ``None`` where that does not tell."""
-    source = _source(plugin) if plugin.defined is None else None
-    if source is None:
+    home, source = _source(plugin)
+    if source is None or plugin.defined is not None:
         return None
+    full = _Spelled(home, plugin.root).visit
     for each in source.body:
         if isinstance(each, ast.FunctionDef) and each.name == "__init__":
             own, given = ast.Name("Any"), [*each.args.args[1:], *each.args.kwonlyargs]
-            return None if each.args.kwarg else {item.arg: ast.unparse(item.annotation or own) for item in given}
+            return None if each.args.kwarg else {item.arg: ast.unparse(full(item.annotation or own)) for item in given}
     is_dataclass = any("dataclass" in ast.unparse(each) for each in source.decorator_list) and not source.bases
     fields = [each for each in source.body if isinstance(each, ast.AnnAssign)]
-    return {ast.unparse(each.target): ast.unparse(each.annotation) for each in fields} if is_dataclass else None
+    return {ast.unparse(each.target): ast.unparse(full(each.annotation)) for each in fields} if is_dataclass else None
 
 
-def _source(plugin: Plugin) -> ast.ClassDef | None:
-    """The source of a plugin's class, where it is found."""
+def _source(plugin: Plugin) -> tuple[str, ast.ClassDef | None]:
+    """The module of a plugin's class and its source, where it is found."""
     module, _, name = plugin.target.partition(":")
-    with suppress(OSError, SyntaxError, ValueError, ImportError):
-        return _class(module, name, plugin.root)
-    return None
+    home, found = _defined(name, module, plugin.root)
+    return home, found if isinstance(found, ast.ClassDef) else None
 
 
-def _class(module: str, name: str, root: Path | None) -> ast.ClassDef | None:
-    """The definition of a class in a module, or in one that the module imports it from."""
-    file = source_file(module, root) or source_file(module, None)
-    body = ast.parse(file.read_bytes()).body if file else []
-    for statement in body:
-        if isinstance(statement, ast.ClassDef) and statement.name == name:
-            return _Spelled(body).visit(statement)
+def _defined(name: str, module: str, root: Path | None) -> tuple[str, ast.AST | None]:
+    """The statement that defines a name in a module, or in one that the module imports it from, and that module."""
+    for statement in _body(module, root):
+        if name in (getattr(statement, "name", ""), *map(ast.unparse, getattr(statement, "targets", ()))):
+            return module, statement
         if isinstance(statement, ast.ImportFrom) and name in (alias.name for alias in statement.names):
-            return _class(statement.module, name, root) if statement.module else None
-    return None
+            return _defined(name, statement.module, root) if statement.module else (module, None)
+    return module, None
+
+
+@cache
+def _body(module: str, root: Path | None) -> list[ast.stmt]:
+    with suppress(OSError, SyntaxError, ValueError, ImportError):
+        file = source_file(module, root) or source_file(module, None)
+        return ast.parse(file.read_bytes()).body if file else []
+    return []
 
 
 class _Spelled(ast.NodeTransformer):
-    """Writes out the names of a module's own ``Literal`` types."""
+    """Writes out the names of ``Literal`` types, a module's own or imported ones, in an annotation."""
 
-    def __init__(self, body: list[ast.stmt]) -> None:
-        assigned = [each for each in body if isinstance(each, ast.Assign)]
-        self.known = {
-            ast.unparse(each.targets[0]): each.value
-            for each in assigned
-            if ast.unparse(each.value).startswith("Literal[")
-        }
+    def __init__(self, module: str, root: Path | None) -> None:
+        self.place = module, root
 
-    def visit_Name(self, node: ast.Name) -> ast.expr:
-        return self.known.get(node.id, node)
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        found = None if node.id in typing.__all__ else _defined(node.id, *self.place)[1]
+        return found.value if isinstance(found, ast.Assign) and "= Literal[" in ast.unparse(found) else node
 
 
 def packages() -> list[Path]:

@@ -27,39 +27,31 @@ class GsplatRenderer(Rasterizer):
     @classmethod
     def lacks(cls) -> str | None:
         try:
-            _rasterization()
             from gsplat.cuda._backend import _C  # pyright: ignore[reportMissingImports]
-        except (MissingExtra, ImportError):
+        except ImportError:
             return 'is not installed: pip install "anystyle[gpu]"'
         # As it is imported, it compiles its kernels, once, or finds no compiler.
         return None if _C is not None else "cannot compile its kernels: install the CUDA toolkit, whose nvcc it runs"
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
-        rasterization = _rasterization()
-        scenes = range(gaussians.means.shape[0])
         with torch.autocast(gaussians.means.device.type, enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)
             # Scene by scene: later versions of gsplat take no batch of harmonics.
-            images = [self._scene(rasterization, gaussians, cameras, b) for b in scenes]
+            images = [self._scene(gaussians, cameras, b) for b in range(len(gaussians.means))]
             return torch.stack(images).to(gaussians.means.dtype)
 
-    def _scene(
-        self, rasterization: Callable[..., Any], gaussians: Gaussians, cameras: Cameras, scene: int
-    ) -> Float[Tensor, "V 5 H W"]:
+    def _scene(self, gaussians: Gaussians, cameras: Cameras, scene: int) -> Float[Tensor, "V 5 H W"]:
         height, width = cameras.size
-        means = gaussians.means[scene].float()  # N 3
-        rotations, scales = gaussians.rotations[scene].float(), gaussians.scales[scene].float()
-        harmonics = gaussians.harmonics[scene].float()  # N K 3
+        means, rotations, scales, opacities, harmonics = (each[scene].float() for each in vars(gaussians).values())
         degree = degree_of(harmonics.shape[1])
         if len(means) == 0:
-            nothing = means.new_zeros(cameras.intrinsics.shape[1], 5, height, width)
-            nothing[:, 4] = 1
-            return nothing
-        color, alpha, _ = rasterization(
+            nothing = means.new_tensor([0, 0, 0, 0, 1])[:, None, None]
+            return nothing.expand(cameras.intrinsics.shape[1], 5, height, width)
+        color, alpha, _ = _rasterization()(
             means=means,
             quats=rotations,
             scales=scales,
-            opacities=gaussians.opacities[scene].float(),
+            opacities=opacities,
             # A single coefficient is a colour that depends on no direction, which gsplat takes as RGB.
             colors=harmonics if degree else colors(harmonics, torch.zeros_like(means)),
             sh_degree=degree or None,

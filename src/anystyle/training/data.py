@@ -190,19 +190,19 @@ def _ignore_signals(worker: int) -> None:
 
 
 class StepLoader:
-    """The batches of the steps from ``start`` to ``stop``, in order; resumable, for the trainer holds the step."""
+    """The batches of some steps, in order; resumable, for the trainer holds the step."""
 
     def __init__(
-        self, source: BatchSource, *, start: int, stop: int, rank: int = 0, world: int = 1, workers: int = 0
+        self, source: BatchSource, steps: range, *, rank: int = 0, world: int = 1, workers: int = 0, pin: bool = False
     ) -> None:
-        self.stop = stop
+        self.stop = steps.stop
         # DataLoader draws a base seed from the global generator; its own keeps the training's random numbers apart.
         self.loader = DataLoader(
             _Steps(source, rank, world),
             batch_size=None,
-            sampler=range(start, stop),
+            sampler=steps,
             num_workers=workers,
-            persistent_workers=False,
+            pin_memory=pin,  # from where a card copies faster
             worker_init_fn=_ignore_signals,
             generator=torch.Generator().manual_seed(0),
         )
@@ -236,11 +236,11 @@ class StepData(pl.LightningDataModule):
     def train_dataloader(self) -> StepLoader:
         trainer = self.trainer
         assert trainer is not None
-        start, stop = (steps * trainer.accumulate_grad_batches for steps in (trainer.global_step, trainer.max_steps))
-        rank, world = trainer.global_rank, trainer.world_size
-        return StepLoader(self.train, start=start, stop=stop, rank=rank, world=world, workers=self.workers)
+        steps = range(*(step * trainer.accumulate_grad_batches for step in (trainer.global_step, trainer.max_steps)))
+        rank, world, pin = trainer.global_rank, trainer.world_size, trainer.strategy.root_device.type == "cuda"
+        return StepLoader(self.train, steps, rank=rank, world=world, workers=self.workers, pin=pin)
 
     def val_dataloader(self) -> StepLoader | list[Value]:
         if self.validation is None:
             return []
-        return StepLoader(self.validation, start=0, stop=self.validation_steps)
+        return StepLoader(self.validation, range(self.validation_steps))

@@ -231,7 +231,8 @@ class StylizationTraining(Training):
 
     def configure_optimizers(self) -> Any:
         groups = branch_groups(self.stylizer, lr=self.learning_rate, **self.rates)
-        optimizer = torch.optim.AdamW(groups, betas=self.betas, weight_decay=self.weight_decay)
+        fused = self.device.type == "cuda" and self.trainer.precision != "16-mixed"  # whose scaler refuses it
+        optimizer = torch.optim.AdamW(groups, betas=self.betas, weight_decay=self.weight_decay, fused=fused or None)
         total = self.trainer.max_steps if self.decay_steps is None else self.decay_steps
         return scheduled(optimizer, total=total, warmup=self.warmup, floor=self.floor)
 

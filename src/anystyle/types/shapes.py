@@ -140,6 +140,10 @@ class Value:
             return self.map(lambda tensor: tensor.to(target) if tensor.is_floating_point() else tensor)
         return self.map(lambda tensor: tensor.to(target))
 
+    def pin_memory(self: AnyValue) -> AnyValue:
+        """This value where a card copies it from without the processor, as a loader of batches asks for."""
+        return self.map(Tensor.pin_memory)
+
     def detach(self: AnyValue) -> AnyValue:
         """This value without its history of gradients."""
         return self.map(Tensor.detach)

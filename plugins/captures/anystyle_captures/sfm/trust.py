@@ -131,11 +131,11 @@ def _left_out(graph: ViewGraph, model: SparseModel) -> list[str]:
     alone, weak = ([view for view in missing if (view in matched) is known] for known in (False, True))
     reasons = []
     if alone:
-        reasons.append(f"{_names(graph, alone)} shares nothing with any other photograph and was left out")
+        reasons.append(f"left out, as nothing is shared with any other photograph: {_names(graph, alone)}")
     if weak:
         reasons.append(
-            f"{_names(graph, weak)} shares too little with the others and was left out; "
-            "take photographs between it and its neighbours"
+            f"left out, as too little is shared with the others: {_names(graph, weak)}; "
+            "take photographs between these and their neighbours"
         )
     return reasons
 

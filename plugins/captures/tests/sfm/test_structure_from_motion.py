@@ -181,7 +181,7 @@ def test_a_stranger_among_photographs(orbit):
         searches=[SearchOptions(min_side=side, max_side=side) for side in (256, 320)],
     )
     assert found.model.registered.tolist() == [True] * 4 + [False] and found.verdict.trust == "good"
-    assert found.verdict.reasons == ("stranger0 shares nothing with any other photograph and was left out",)
+    assert found.verdict.reasons == ("left out, as nothing is shared with any other photograph: stranger0",)
     assert found.verdict.measures["searched_pixels"] == 256
 
 

@@ -102,7 +102,13 @@ def few_points(model):
     [
         (lambda model: model, moved, "good", None, []),
         (lambda model: model, None, "doubtful", "only one of two methods", []),
-        (held_by_few, lambda model, rng: moved(displaced(model, 5), rng), "good", "view5 shares too little", [5]),
+        (
+            held_by_few,
+            lambda model, rng: moved(displaced(model, 5), rng),
+            "good",
+            "too little is shared with the others: view5",
+            [5],
+        ),
         (far_away, moved, "doubtful", "depth is uncertain", []),
         (few_points, moved, "doubtful", "points hold these cameras", []),
     ],
