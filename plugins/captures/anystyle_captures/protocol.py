@@ -229,7 +229,8 @@ class Captures(Protocol):
                 result = reconstruct(views, points, chosen)
             except ValueError as error:
                 # A reconstruction that fails, for example with cameras that run the other way, is a result too.
-                scores[kind], costs[kind] = dict.fromkeys(self.better, nan), {"failed": str(error)}
+                scores[kind] = dict.fromkeys((*BETTER, self.lpips.name), nan)
+                costs[kind] = {"failed": str(error)}
                 continue
             spent = round(time.process_time() - start, 1)
             scores[kind] = self._quality(result.renders, photographs, measured)
@@ -376,7 +377,8 @@ class Captures(Protocol):
 
 def _mean(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Over captures with scores; NaN where there are none."""
-    return {name: mean([row[name] for row in scores]) for name in dict.fromkeys(name for row in scores for name in row)}
+    names = dict.fromkeys(name for row in scores for name in row)
+    return {name: mean([row[name] for row in scores if name in row]) for name in names}
 
 
 def numbers(scores: Mapping[str, Any]) -> dict[str, float]:

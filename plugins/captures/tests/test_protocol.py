@@ -8,6 +8,7 @@ import pytest
 import anystyle
 from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.types import no_progress
+from anystyle_captures.camera_files.samples import write_wall
 from anystyle_captures.protocol import Captures
 from anystyle_metrics.consistency import Consistency
 
@@ -38,11 +39,15 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
     row = {row.style: row.scores for row in evaluation.rows}["view_by_view, example:wave"]
     assert row["consistency"] == wall["view_by_view"]
     assert evaluation.groups["photographs over stylized"]["consistency"] == 1
-    protocol.captures = [tmp_path / "nothing", *protocol.captures]
+    monkeypatch.undo()  # of one capture the backbone failed, and it does not of the next
+    write_wall(tmp_path / "second")
+    protocol.captures = [tmp_path / "nothing", *protocol.captures, tmp_path / "second"]
     protocol.captures[0].mkdir()
-    others = Captures.run(protocol, tmp_path / "others", no_progress)
-    assert others.provenance["scenes"] == ["wall"] and others.scores == evaluation.scores
+    others = Captures.run(protocol, tmp_path / "out", no_progress)
+    assert others.provenance["scenes"] == ["wall", "second"]
     assert "nothing is left out: there are no images in the folder" in others.provenance["warnings"][0]
+    single = others.groups["feedforward"]
+    assert single.keys() == {"psnr", "matched_psnr", "ssim", protocol.lpips.name} and not isnan(single["psnr"])
     del protocol.captures[0]
     protocol.better["csd"] = "higher"
     with pytest.raises(ValueError, match="judged without csd, by other metrics or networks"):
