@@ -29,6 +29,4 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("anystyle")
-    if name == "VideoOptions":
-        raise AttributeError("VideoOptions is gone: give stylize a mapping, such as video={'frames': 48}")
     return _named(name)

@@ -160,8 +160,6 @@ class Captures(Protocol):
                     with atomic_directory(folder) as temporary:
                         write_json(temporary / "record.json", self._judge(path, temporary))
                 except UserError as error:
-                    if len(self.captures) == 1:
-                        raise
                     left_out.append(f"{name} is left out: {error}")
                     _log.warning(left_out[-1])
                     continue
@@ -377,8 +375,7 @@ class Captures(Protocol):
 
 def _mean(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Over captures with scores; NaN where there are none."""
-    names = dict.fromkeys(name for row in scores for name in row)
-    return {name: mean([row[name] for row in scores if name in row]) for name in names}
+    return {name: mean([each[name] for each in scores if name in each]) for row in scores for name in row}
 
 
 def numbers(scores: Mapping[str, Any]) -> dict[str, float]:

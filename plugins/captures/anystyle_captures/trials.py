@@ -36,10 +36,8 @@ def try_refinement(
             loop.advance()
         if loop.moved < MOVED:
             break
-        again, found = (
-            initial(loop.cameras),
-            difference(cameras.select(loop.training), loop.cameras.select(loop.training)),
-        )
+        again, taught = initial(loop.cameras), loop.training
+        found = difference(cameras.select(taught), loop.cameras.select(taught))
         better = again.confirmed > BETTER * start.confirmed
         logger.info("trial %d: cameras moved by %.2f° and %.1f%% of their radius", number + 1, found[0], 100 * found[1])
         then = "they are refined" if better else "the last ones are kept"
