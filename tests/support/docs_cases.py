@@ -77,11 +77,12 @@ ENDS = {
     r"anystyle weights download ": "cannot be fetched",
     r"anystyle stylize .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
     r"anystyle film .*camera_path.json": "there is no camera path of nerfstudio camera_path.json",
-    r"anystyle stylize .*poses_from=": "poses_from=exports/cameras.xml does not exist",
+    r"anystyle stylize .*poses_from=": "poses_from=.* does not exist",
     r"anystyle stylize .*poses=known": "no cameras are stored beside the photographs",
     r"anystyle stylize .*--photo-masks ": "there is no folder of masks",
     r"anystyle stylize scene.spz ": "there is no file scene.spz",
-    r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
+    r"anystyle stylize (panoramas/|walk_360.mp4) ": "there is no folder, image or video",
+    r"anystyle stylize .*(reconstruction=fit|quality=best)": "no cameras are found: there is too little to see",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
 }
 """Commands that need a file which is not at hand: they run as well, and end in one line that says which."""
@@ -118,7 +119,7 @@ NOT_RUN = {
     r"anystyle (evaluate protocol=table|report .?T2)": "tests of these plugins do, small",
     r"anystyle benchmark (judge|compare) ": "needs an edition; tests have one",
     r"anystyle benchmark ladder ": "hours; benchmark/tests/test_ladder.py counts a small one",
-    r"anystyle evaluate protocol=captures ": "minutes; evaluation/test_captures.py runs a small one",
+    r"anystyle evaluate protocol=captures ": "minutes; captures/tests/test_protocol.py runs a small one",
 }
 """Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""
 
