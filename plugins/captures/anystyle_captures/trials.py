@@ -40,7 +40,7 @@ def try_refinement(
         found = difference(cameras.select(taught), loop.cameras.select(taught))
         better = again.confirmed > BETTER * start.confirmed
         logger.info("trial %d: cameras moved by %.2f° and %.1f%% of their radius", number + 1, found[0], 100 * found[1])
-        then = "they are refined" if better else "the last ones are kept"
+        then = "the refined cameras are taken" if better else "those from before this trial are kept"
         shares = 100 * again.confirmed, 100 * start.confirmed
         logger.info("stereo agrees in %.1f%% of the pixels, before in %.1f%%: %s", *shares, then)
         if not better:

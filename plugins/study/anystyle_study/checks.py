@@ -222,9 +222,8 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
         scale, scores = scales[question], [answer.score for answer in given if not math.isnan(answer.score)]
         strange = [answer.score for answer in filter(outside, given)]
         # Buttons that are counted from 0 fit a scale of the same length: few are outside, and all others are shifted.
-        shifted = {*strange} in ({scale.low - 1}, {scale.high + 1}) and max(scores) - min(
-            scores
-        ) <= scale.high - scale.low
+        beyond = {*strange} in ({scale.low - 1}, {scale.high + 1})
+        shifted = beyond and max(scores) - min(scores) <= scale.high - scale.low
         if shifted or len(strange) > _MAX_OUTSIDE * len(scores):
             farthest = max(strange, key=lambda score: abs(score - scale.midpoint))
             raise UserError(

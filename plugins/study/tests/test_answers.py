@@ -306,7 +306,7 @@ def test_mixed_scales_are_refused(tmp_path):
 def test_a_shifted_scale_is_refused_however_few_of_its_answers_are_outside(tmp_path, shift, found):
     outer = 1 if shift < 0 else 5
     rows = [(*row[:3], 2 + place % 3 + shift, row[4]) for place, row in enumerate(answer_rows())]
-    rows[:2] = [(*row[:3], score + shift, row[4]) for row, score in zip(rows, (outer, 6 - outer), strict=False)]
+    rows[:2] = [(*row[:3], score + shift, row[4]) for row, score in zip(rows[:2], (outer, 6 - outer), strict=True)]
     with pytest.raises(
         ValueError, match=f"answers from {found} where the scale is 1 to 5.* --label={outer + shift}=NA"
     ):
