@@ -70,7 +70,7 @@ def test_views_that_are_linear_in_colours_have_the_loss_and_the_gradient_of_rend
     torch.testing.assert_close(losses[:2], losses[2:], rtol=1e-5, atol=1e-7)
     grads = [loop.splats.parameters["colors"].grad for loop in loops]
     assert grads[1].abs().max() > 1e-6
-    # Shares are kept in 16 bits, by which a few features have another nearest one; noise of 1e-5 in colours does so, too.
+    # Shares are kept in 16 bits, by which a few features have another nearest one; as by noise of 1e-5 in colours.
     torch.testing.assert_close(
         grads[0], grads[1], rtol=1e-3, atol=(2e-2 if kept else 1e-3) * float(grads[1].abs().max())
     )
