@@ -14,8 +14,8 @@ from torch.overrides import TorchFunctionMode
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from anystyle.nn.tokens import constant
-from anystyle_backbones.dpt import scaled_waves
+from anystyle.io.cache import LRUCache
+from anystyle.nn import tokens
 
 DEVICE = torch.device("meta")
 _CPU = torch.device("cpu")
@@ -84,11 +84,9 @@ def elsewhere() -> Iterator[torch.device]:
 @contextmanager
 def nothing_kept() -> Iterator[None]:
     """Tensors that are kept a device are not those of before, nor do they stay: several devices read ``meta``."""
-    for kept in (constant, scaled_waves):
-        kept.cache_clear()
+    before, tokens._KEPT = tokens._KEPT, LRUCache(512)
     yield
-    for kept in (constant, scaled_waves):
-        kept.cache_clear()
+    tokens._KEPT = before
 
 
 def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:

@@ -1,7 +1,6 @@
 """The dense prediction transformer's decoder (Ranftl et al., arXiv 2103.13413), as geometry networks use it."""
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import NotRequired, TypedDict, Unpack
 
 import torch
@@ -10,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
+from anystyle.nn.tokens import kept
 
 
 def by_views(
@@ -53,14 +53,13 @@ def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, 
     return x
 
 
-@lru_cache(maxsize=64)
+@kept
 def scaled_waves(
     size: tuple[int, int], aspect: float, channels: int, device: torch.device, dtype: torch.dtype
 ) -> tuple[Float[Tensor, "C 1 w"], Float[Tensor, "C h 1"]]:
-    """A tenth of the waves of x and of y, kept: they depend on sizes alone, and take more kernels than a layer."""
-    with torch.inference_mode(False):  # a later training reads them, too
-        columns, rows = (0.1 * uv_waves(line, channels).to(device, dtype) for line in uv_grid(size, aspect))
-        return columns[:, None, :], rows[:, :, None]
+    """A tenth of the waves of x and of y."""
+    columns, rows = (0.1 * uv_waves(line, channels).to(device, dtype) for line in uv_grid(size, aspect))
+    return columns[:, None, :], rows[:, :, None]
 
 
 class ResidualConv(nn.Module):

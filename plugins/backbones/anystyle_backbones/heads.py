@@ -169,9 +169,10 @@ def centred_cameras(
     """
     height, width = size
     focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
-    last = constant((0.0, 0.0, 0.0, 1.0), origin.device, origin.dtype).expand(*origin.shape[:-1], 1, 4)
+    kept = constant((0.0, 0.0, 0.0, 1.0, width / 2, height / 2), origin.device, origin.dtype)
+    last, (zero, *_, one, middle, centre) = kept[:4], (each.expand(focal_x.shape) for each in kept)
     # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
-    pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
-    zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
-    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
+    pose = torch.cat([rotation, origin[..., None]], dim=-1)
+    pose = torch.cat([pose, last.expand(*origin.shape[:-1], 1, 4)], dim=-2)
+    entries = [focal_x, zero, middle, zero, focal_y, centre, zero, zero, one]
     return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)

@@ -1,5 +1,6 @@
 """The transformer block of ViT and DINOv2, with the two kinds of feed-forward layer that its sizes use."""
 
+from collections.abc import Iterable
 from typing import Literal
 
 import torch
@@ -8,11 +9,14 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from anystyle.nn.tokens import Rotary, rotate
+from anystyle.nn.tokens import Rotary, rotate, swapped
 
 
 class Attention(nn.Module):
-    """Multi-head self-attention; with ``qk_norm`` queries and keys are normalised per head, ahead of the rotation."""
+    """Multi-head self-attention; with ``qk_norm`` queries and keys are normalised per head, ahead of the rotation.
+
+    The gain and bias of the norms are one with the rotation; :func:`with_norms` computes that for many blocks at once.
+    """
 
     def __init__(self, dim: int, heads: int, *, qk_norm: bool) -> None:
         super().__init__()
@@ -23,14 +27,30 @@ class Attention(nn.Module):
         self.proj = nn.Linear(dim, dim)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
-        q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).unbind(2)  # each M L heads E
-        # Normalised in this order, so that what attention gives needs no copy to be joined.
-        q, k, v = (part.transpose(1, 2) for part in (self.q_norm(q), self.k_norm(k), v))  # each M heads L E
-        if angles is not None:
-            q, k = rotate(q, angles), rotate(k, angles)
+        qkv = self.qkv(x).unflatten(-1, (3, self.heads, -1))  # M L 3 heads E
+        qk, v = qkv[:, :, :2], qkv[:, :, 2].transpose(1, 2)
+        if isinstance(self.q_norm, nn.LayerNorm):
+            assert angles is not None
+            qk = F.layer_norm(qk, qk.shape[-1:], eps=self.q_norm.eps)
+            angles = with_norms([self], angles)[0] if angles.shift is None else angles
+        qk = qk.permute(0, 2, 3, 1, 4)  # M 2 heads L E
+        q, k = (qk if angles is None else rotate(qk, angles)).unbind(1)
         # Under autocast the norms leave queries and keys in another precision than values.
         mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
         return self.proj(mixed.transpose(1, 2).flatten(2))
+
+
+def with_norms(blocks: Iterable[nn.Module], angles: Rotary) -> list[Rotary]:
+    """For each :class:`Attention` in blocks the angles, with the gain and bias of its norms of queries and keys."""
+    layers = [layer for block in blocks for layer in block.modules() if isinstance(layer, Attention)]
+    norms = [norm for layer in layers for norm in (layer.q_norm, layer.k_norm)]
+    gain, bias = (
+        torch.stack([getattr(norm, name) for norm in norms]).unflatten(0, (-1, 1, 2)) for name in ("weight", "bias")
+    )  # each N 1 2 E
+    cos, sin = angles.cos[:, None], angles.sin[:, None]
+    tables = gain * cos, swapped(gain) * sin, torch.addcmul(bias * cos, swapped(bias), sin)  # N L 2 E
+    # The memory's order is that of queries and keys, which else would be copied.
+    return list(map(Rotary, *(table.transpose(1, 2)[:, :, None, None] for table in tables)))
 
 
 class Mlp(nn.Module):

@@ -1,23 +1,46 @@
 """What transformers read of images: normalised pixels, grids of patches, and their rotary position embedding."""
 
-from functools import lru_cache
-from typing import NamedTuple
+from collections.abc import Callable, Hashable
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.utils._python_dispatch import _get_current_dispatch_mode
 
 from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
+
+T = TypeVar("T")
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
-@lru_cache(maxsize=256)
+_KEPT: LRUCache[Hashable, Any] = LRUCache(512)
+
+
+def kept(function: Callable[..., T]) -> Callable[..., T]:
+    """What a function of sizes, devices and the like returns, made once: it takes a card more kernels than a layer.
+
+    What is made within a dispatch mode is not kept: it may have no values, as where memory is estimated.
+    """
+
+    @wraps(function)
+    def find(*key: Hashable) -> T:
+        with torch.inference_mode(False):  # a later training reads it, too
+            if _get_current_dispatch_mode() and (function, key) not in _KEPT:
+                return function(*key)
+            return _KEPT.get((function, key), lambda: function(*key))
+
+    return find
+
+
+@kept
 def constant(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Float[Tensor, " n"]:
-    """Numbers as a tensor, made once: a copy to a card waits for the card."""
-    with torch.inference_mode(False):  # a later training reads it, too
-        return torch.tensor(values, device=device, dtype=dtype)
+    """Numbers as a tensor."""
+    return torch.tensor(values, device=device, dtype=dtype)
 
 
 def normalised(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 H W"]:
@@ -38,14 +61,14 @@ def grid_of(images: Float[Tensor, "*batch 3 H W"], patch_size: int) -> tuple[int
 
 
 class Rotary(NamedTuple):
-    """Angles of a sequence of tokens: cosines, and sines with the sign of the pair's first entry folded in."""
+    """Angles of a grid's tokens: cosines, and sines with the sign of the pair's first entry folded in.
 
-    cos: Float[Tensor, "L E"]
-    sin: Float[Tensor, "L E"]
+    The gain of a norm may be in both, and what becomes of its bias is then what is added.
+    """
 
-    def repeat(self, times: int) -> "Rotary":
-        """The angles of a sequence of ``times`` grids, one after the other."""
-        return Rotary(self.cos.repeat(times, 1), self.sin.repeat(times, 1))
+    cos: Float[Tensor, "*heads L E"]
+    sin: Float[Tensor, "*heads L E"]
+    shift: Float[Tensor, "*heads L E"] | None = None
 
 
 def grid_positions(grid: tuple[int, int], special: int = 1, device: torch.device | None = None) -> Float[Tensor, "L 2"]:
@@ -70,7 +93,23 @@ def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Floa
     )
 
 
-def rotate(x: Float[Tensor, "*batch L E"], angles: Rotary) -> Float[Tensor, "*batch L E"]:
-    """Turn each pair of channels by its token's angle."""
-    swapped = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
-    return torch.addcmul(x * angles.cos.to(x.dtype), swapped, angles.sin.to(x.dtype))
+@kept
+def grid_rotary(
+    grid: tuple[int, int], special: int, dim: int, base: float, device: torch.device, dtype: torch.dtype
+) -> Rotary:
+    """Angles of a view's tokens, at :func:`grid_positions`."""
+    places = grid_positions(grid, special, device)
+    return rotary(places, dim, base=base, like=places.new_empty(0, dtype=dtype))
+
+
+def rotate(x: Float[Tensor, "*batch S E"], angles: Rotary) -> Float[Tensor, "*batch S E"]:
+    """Turn each pair of channels by its token's angle; the tokens may be of several grids, one after the other."""
+    grids = x.unflatten(-2, (-1, angles.cos.shape[-2]))
+    cos, sin = angles.cos.to(x.dtype), angles.sin.to(x.dtype)
+    start = grids * cos if angles.shift is None else torch.addcmul(angles.shift.to(x.dtype), grids, cos)
+    return torch.addcmul(start, swapped(grids), sin).flatten(-3, -2)
+
+
+def swapped(x: Float[Tensor, "*batch E"]) -> Float[Tensor, "*batch E"]:
+    """Each channel's partner in its place."""
+    return x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)

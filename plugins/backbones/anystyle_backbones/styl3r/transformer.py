@@ -158,15 +158,14 @@ class Aggregator(Decoder, contracts.Aggregator):
         beside = torch.arange(views - 1, device=stem.data.device).expand(views, -1)  # V V-1
         beside = beside + torch.ones_like(beside).triu()  # all but the view itself
         angles = self.angles_of(stem)
-        memory_angles = angles.repeat(views - 1)
         tokens, outputs = stem.with_data(self.embed(stem.data)), {}
         for layer, (first, others) in enumerate(zip(self.first, self.others, strict=True), start=1):
             x = tokens.data
             memory = x[:, beside].flatten(2, 3)  # B V (V-1)P C
-            decoded = [first(x[:, 0], memory[:, 0], angles, memory_angles)[:, None]]
+            decoded = [first(x[:, 0], memory[:, 0], angles, angles)[:, None]]
             if views > 1:
                 rest = (part[:, 1:].flatten(0, 1) for part in (x, memory))
-                decoded.append(others(*rest, angles, memory_angles).unflatten(0, (batch, views - 1)))
+                decoded.append(others(*rest, angles, angles).unflatten(0, (batch, views - 1)))
             tokens = outputs[layer] = tokens.with_data(torch.cat(decoded, dim=1))
         return self.features(stem, outputs)
 
@@ -192,7 +191,7 @@ class TokenStylizer(Decoder):
         """Features of the encoder's tokens in a style: one view of tokens of any grid for each scene."""
         dtype = self.embed.weight.dtype
         given, memory = stem.with_data(stem.data.to(dtype)), style.with_data(self.embed(style.data.to(dtype)))
-        angles, memory_angles = self.angles_of(given).repeat(stem.data.shape[1]), self.angles_of(memory)
+        angles, memory_angles = self.angles_of(given), self.angles_of(memory)
         tokens, outputs = given.with_data(self.embed(given.data)), {}
         for layer, block in enumerate(self.blocks):
             tokens = inject(f"head/stylizer/{layer}", tokens)

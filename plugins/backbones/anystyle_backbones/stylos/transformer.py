@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import repeat
 from typing import Literal, NamedTuple
 
 import torch
@@ -10,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from anystyle.nn.attention import Attention, LayerScale, Mlp
+from anystyle.nn.attention import Attention, LayerScale, Mlp, with_norms
 from anystyle.nn.tokens import Rotary, grid_positions, rotary, rotate
 from anystyle.types import Features, Inject, Tokens, untouched
 from anystyle_backbones.anysplat.networks import Aggregator
@@ -31,11 +32,12 @@ class StemAggregator(Aggregator):
 
 
 class Angles(NamedTuple):
-    """Rotary angles of one view's tokens, of all views', and of the style's."""
+    """Rotary angles of a view's tokens and of the style's, and both with the norms of a block's own attention."""
 
     view: Rotary
-    views: Rotary
     style: Rotary
+    own_view: Rotary
+    own_style: Rotary
 
 
 class StyleAttention(nn.Module):
@@ -54,7 +56,7 @@ class StyleAttention(nn.Module):
     ) -> Float[Tensor, "B L C"]:
         q = self.q_norm(self.q_proj(x).unflatten(-1, (self.heads, -1)).transpose(1, 2))  # B heads L E
         k, v = self.kv_proj(style).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each B heads S E
-        q, k = rotate(q, angles.views), rotate(self.k_norm(k), angles.style)
+        q, k = rotate(q, angles.view), rotate(self.k_norm(k), angles.style)
         # Under autocast the norms leave queries and keys in another precision than values.
         mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
         return self.proj(mixed.transpose(1, 2).flatten(2))
@@ -86,10 +88,10 @@ class CrossBlock(nn.Module):
         self, x: Float[Tensor, "B V P C"], style: Float[Tensor, "B S C"], angles: Angles
     ) -> tuple[Float[Tensor, "B V P C"], Float[Tensor, "B S C"]]:
         """The tokens of views and of the style behind this block."""
-        start, places = (1, angles.views) if self.across else (0, angles.view)
-        x = self.ls1(x, self.attn(self.norm1(x).flatten(start, start + 1), places).view_as(x))
+        start = int(self.across)
+        x = self.ls1(x, self.attn(self.norm1(x).flatten(start, start + 1), angles.own_view).view_as(x))
         if self.updates_style:
-            style = self.ls4(style, self.attn2(self.norm3(style), angles.style))
+            style = self.ls4(style, self.attn2(self.norm3(style), angles.own_style))
         # Each token attends for itself, so all views of a scene are one sequence.
         x = self.ls2(x, self.cross_attn(self.qnorm1(x).flatten(1, 2), self.kvnorm1(style), angles).view_as(x))
         return self.ls3(x, self.mlp(self.norm2(x))), style
@@ -134,16 +136,19 @@ class StyleAggregator(nn.Module):
         turned = partial(rotary, dim=self.head_dim, base=100.0, like=stem.data)
         view = turned(grid_positions(stem.grid, stem.special, stem.data.device))
         of_style = turned(grid_positions(style.grid, registers.shape[1], stem.data.device))
-        angles = Angles(view, view.repeat(stem.data.shape[1]), of_style)
+        blocks = [block for block in self.layers.modules() if isinstance(block, CrossBlock)]
+        own_view = with_norms((block.attn for block in blocks), view)
+        own_style = with_norms((block.attn2 for block in blocks), of_style) if blocks[0].updates_style else own_view
+        angles = map(Angles, repeat(view), repeat(of_style), own_view, own_style)
         tapped, tokens = [], stem
         for number, layer in enumerate(self.layers):
             tokens, outputs = inject(f"{SITES}/{number}", tokens), []
             assert isinstance(layer, nn.ModuleDict)
             for block in layer.values():
                 if self.checkpointing and self.training and torch.is_grad_enabled():
-                    data, styles = checkpoint(block, tokens.data, styles, angles, use_reentrant=False)
+                    data, styles = checkpoint(block, tokens.data, styles, next(angles), use_reentrant=False)
                 else:
-                    data, styles = block(tokens.data, styles, angles)
+                    data, styles = block(tokens.data, styles, next(angles))
                 tokens = tokens.with_data(data)
                 outputs.insert(0, data)
             if number in self.taps:
