@@ -5,8 +5,9 @@ As on a graphics card, numbers alone (tensors without dimensions) may come from 
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from torch import Tensor
@@ -14,8 +15,9 @@ from torch.overrides import TorchFunctionMode
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from anystyle.io.cache import LRUCache
-from anystyle.nn import tokens
+from anystyle.nn.tokens import constant
+from anystyle_backbones.blocks import grid_rotary
+from anystyle_backbones.dpt import scaled_waves
 
 DEVICE = torch.device("meta")
 _CPU = torch.device("cpu")
@@ -77,16 +79,19 @@ class _Operations(TorchDispatchMode):
 @contextmanager
 def elsewhere() -> Iterator[torch.device]:
     """Within it, tensors are made on that device where it is asked for."""
-    with nothing_kept(), _Literals(), _Operations():
+    with nothing_kept(), patch("anystyle.nn.tokens.no_dispatch", nullcontext), _Literals(), _Operations():
         yield DEVICE
 
 
 @contextmanager
 def nothing_kept() -> Iterator[None]:
     """Tensors that are kept a device are not those of before, nor do they stay: several devices read ``meta``."""
-    before, tokens._KEPT = tokens._KEPT, LRUCache(512)
+    caches = constant, grid_rotary, scaled_waves
+    for kept in caches:
+        kept.cache_clear()
     yield
-    tokens._KEPT = before
+    for kept in caches:
+        kept.cache_clear()
 
 
 def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:

@@ -1,6 +1,7 @@
 """The dense prediction transformer's decoder (Ranftl et al., arXiv 2103.13413), as geometry networks use it."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NotRequired, TypedDict, Unpack
 
 import torch
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
-from anystyle.nn.tokens import kept
+from anystyle.nn.tokens import real
 
 
 def by_views(
@@ -53,13 +54,14 @@ def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, 
     return x
 
 
-@kept
+@lru_cache(maxsize=64)
 def scaled_waves(
     size: tuple[int, int], aspect: float, channels: int, device: torch.device, dtype: torch.dtype
 ) -> tuple[Float[Tensor, "C 1 w"], Float[Tensor, "C h 1"]]:
-    """A tenth of the waves of x and of y."""
-    columns, rows = (0.1 * uv_waves(line, channels).to(device, dtype) for line in uv_grid(size, aspect))
-    return columns[:, None, :], rows[:, :, None]
+    """A tenth of the waves of x and of y, kept: they depend on sizes alone, and take more kernels than a layer."""
+    with real():
+        columns, rows = (0.1 * uv_waves(line, channels).to(device, dtype) for line in uv_grid(size, aspect))
+        return columns[:, None, :], rows[:, :, None]
 
 
 class ResidualConv(nn.Module):

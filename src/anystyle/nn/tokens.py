@@ -1,46 +1,33 @@
 """What transformers read of images: normalised pixels, grids of patches, and their rotary position embedding."""
 
-from collections.abc import Callable, Hashable
-from functools import wraps
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.utils._python_dispatch import _get_current_dispatch_mode
+from torch.utils._mode_utils import no_dispatch
 
 from anystyle.errors import UserError
-from anystyle.io.cache import LRUCache
-
-T = TypeVar("T")
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
-_KEPT: LRUCache[Hashable, Any] = LRUCache(512)
-
-
-def kept(function: Callable[..., T]) -> Callable[..., T]:
-    """What a function of sizes, devices and the like returns, made once: it takes a card more kernels than a layer.
-
-    What is made within a dispatch mode is not kept: it may have no values, as where memory is estimated.
-    """
-
-    @wraps(function)
-    def find(*key: Hashable) -> T:
-        with torch.inference_mode(False):  # a later training reads it, too
-            if _get_current_dispatch_mode() and (function, key) not in _KEPT:
-                return function(*key)
-            return _KEPT.get((function, key), lambda: function(*key))
-
-    return find
-
-
-@kept
+@lru_cache(maxsize=256)
 def constant(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Float[Tensor, " n"]:
-    """Numbers as a tensor."""
-    return torch.tensor(values, device=device, dtype=dtype)
+    """Numbers as a tensor, made once: a copy to a card waits for the card."""
+    with real():
+        return torch.tensor(values, device=device, dtype=dtype)
+
+
+@contextmanager
+def real() -> Iterator[None]:
+    """Tensors that are kept have values, also where memory is estimated without, and a later training reads them."""
+    with no_dispatch(), torch.inference_mode(False):
+        yield
 
 
 def normalised(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 H W"]:
@@ -91,15 +78,6 @@ def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Floa
     return Rotary(
         cos=torch.stack([cos, cos], dim=2).flatten(1).to(like), sin=torch.stack([-sin, sin], dim=2).flatten(1).to(like)
     )
-
-
-@kept
-def grid_rotary(
-    grid: tuple[int, int], special: int, dim: int, base: float, device: torch.device, dtype: torch.dtype
-) -> Rotary:
-    """Angles of a view's tokens, at :func:`grid_positions`."""
-    places = grid_positions(grid, special, device)
-    return rotary(places, dim, base=base, like=places.new_empty(0, dtype=dtype))
 
 
 def rotate(x: Float[Tensor, "*batch S E"], angles: Rotary) -> Float[Tensor, "*batch S E"]:

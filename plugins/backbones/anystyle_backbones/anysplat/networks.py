@@ -13,9 +13,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.attention import Block, Mlp, run, start_as_dino, with_norms
-from anystyle.nn.tokens import grid_of, grid_rotary, normalised
+from anystyle.nn.attention import Block, Mlp
+from anystyle.nn.tokens import grid_of, normalised
 from anystyle.types import Attributes, Cameras, Features, Inject, Site, Tokens, untouched
+from anystyle_backbones.blocks import grid_rotary, run, start_as_dino, with_norms
 from anystyle_backbones.heads import CameraRegressor, DptGaussians, centred_cameras, positions, rotation_of
 from anystyle_backbones.reference_view import Strategy, is_reference, reference_view
 

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from functools import partial
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.attention import Block, DecoderBlock, start_as_dino
-from anystyle.nn.tokens import Rotary, constant, grid_of, grid_positions, rotary
+from anystyle.nn.attention import Attention, Block, Mlp
+from anystyle.nn.tokens import Rotary, constant, grid_of, grid_positions, rotary, rotate
 from anystyle.types import Cameras, Features, Inject, Site, Tokens, untouched
+from anystyle_backbones.blocks import start_as_dino
 
 _log = logging.getLogger(__name__)
 
@@ -126,6 +128,51 @@ class Decoder(nn.Module):
         last = outputs[self.taps[-1]]
         normed = {0: given, self.taps[-1]: last.with_data(self.norm(last.data))}
         return {layer: normed.get(layer) or outputs[layer] for layer in self.taps}
+
+
+class MemoryAttention(nn.Module):
+    """Multi-head attention of queries to a memory, both turned by their positions."""
+
+    def __init__(self, dim: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.projq, self.projk, self.projv, self.proj = (nn.Linear(dim, dim) for _ in range(4))
+
+    def forward(
+        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
+    ) -> Float[Tensor, "M L C"]:
+        pairs = ((self.projq, x), (self.projk, memory), (self.projv, memory))
+        q, k, v = (project(y).unflatten(-1, (self.heads, -1)).transpose(1, 2) for project, y in pairs)
+        q, k = rotate(q, angles), rotate(k, memory_angles)
+        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
+        return self.proj(mixed.transpose(1, 2).flatten(2))
+
+
+class DecoderBlock(nn.Module):
+    """A pre-norm block with cross-attention to a memory after its self-attention.
+
+    Args:
+        dim: Channels.
+        heads: Attention heads.
+        mlp_ratio: Width of the feed-forward layer, in ``dim``.
+        eps: Epsilon of the layer norms.
+    """
+
+    def __init__(self, dim: int, heads: int, *, mlp_ratio: float, eps: float = 1e-5) -> None:
+        super().__init__()
+        self.norm1, self.norm2, self.norm3, self.norm_y = (nn.LayerNorm(dim, eps=eps) for _ in range(4))
+        self.attn = Attention(dim, heads, qk_norm=False)
+        self.cross_attn = MemoryAttention(dim, heads)
+        self.mlp = Mlp(dim, int(dim * mlp_ratio), dim)
+
+    def forward(
+        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
+    ) -> Float[Tensor, "M L C"]:
+        """Tokens after the block; a memory of no tokens adds nothing."""
+        x = x + self.attn(self.norm1(x), angles)
+        if memory.shape[1]:
+            x = x + self.cross_attn(self.norm2(x), self.norm_y(memory), angles, memory_angles)
+        return x + self.mlp(self.norm3(x))
 
 
 class Aggregator(Decoder, contracts.Aggregator):

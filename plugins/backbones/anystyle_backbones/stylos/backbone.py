@@ -42,7 +42,6 @@ class Stylos(AnySplat):
             one; ``hybrid`` is a global block, then a frame block.
         style_depth: Layers of the style aggregator.
         style_taps: The four of them that colours are decoded from; the last is the last.
-        style_updates: Whether layers change the style's tokens; no configuration of the publishers' does.
         voxel_size: Side of a voxel, in world units.
         chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it affects only memory.
         checkpointing: Whether training recomputes blocks of the style aggregator to save memory.
@@ -77,7 +76,6 @@ class Stylos(AnySplat):
         style_order: Order = "global",
         style_depth: int = 12,
         style_taps: Sequence[int] = (2, 5, 8, 11),
-        style_updates: bool = False,
         voxel_size: Positive = 0.002,
         chunk: AtLeastOne = 4,
         checkpointing: bool = False,
@@ -118,7 +116,6 @@ class Stylos(AnySplat):
             depth=style_depth,
             order=style_order,
             taps=style_taps,
-            updates_style=style_updates,
             checkpointing=checkpointing,
         )
         style_dpt = decoder(dim=2 * dim if style_order == "hybrid" else dim, outputs=4)

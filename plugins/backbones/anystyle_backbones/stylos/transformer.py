@@ -11,10 +11,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from anystyle.nn.attention import Attention, LayerScale, Mlp, with_norms
+from anystyle.nn.attention import Attention, LayerScale, Mlp
 from anystyle.nn.tokens import Rotary, grid_positions, rotary, rotate
 from anystyle.types import Features, Inject, Tokens, untouched
 from anystyle_backbones.anysplat.networks import Aggregator
+from anystyle_backbones.blocks import with_norms
 
 STEM = -1
 """The key of the stem among the features, ahead of all layers'."""
@@ -32,12 +33,11 @@ class StemAggregator(Aggregator):
 
 
 class Angles(NamedTuple):
-    """Rotary angles of a view's tokens and of the style's, and both with the norms of a block's own attention."""
+    """Rotary angles of a view's tokens, with the norms of a block's own attention and without, and of the style's."""
 
+    own: Rotary
     view: Rotary
     style: Rotary
-    own_view: Rotary
-    own_style: Rotary
 
 
 class StyleAttention(nn.Module):
@@ -69,40 +69,32 @@ class CrossBlock(nn.Module):
         dim: Channels.
         heads: Attention heads.
         across: Whether views see one another.
-        updates_style: Whether the style attends to itself ahead of being seen, and is handed on so.
     """
 
-    def __init__(self, dim: int, heads: int, *, across: bool, updates_style: bool) -> None:
+    def __init__(self, dim: int, heads: int, *, across: bool) -> None:
         super().__init__()
-        self.across, self.updates_style = across, updates_style
+        self.across = across
         self.norm1, self.qnorm1, self.kvnorm1, self.norm2 = (nn.LayerNorm(dim) for _ in range(4))
         self.attn = Attention(dim, heads, qk_norm=True)
         self.cross_attn = StyleAttention(dim, heads)
         self.mlp = Mlp(dim, 4 * dim, dim)
         self.ls1, self.ls2, self.ls3 = (LayerScale(dim, 0.01) for _ in range(3))
-        if updates_style:
-            self.norm3, self.attn2 = nn.LayerNorm(dim), Attention(dim, heads, qk_norm=True)
-            self.ls4 = LayerScale(dim, 0.01)
 
     def forward(
         self, x: Float[Tensor, "B V P C"], style: Float[Tensor, "B S C"], angles: Angles
-    ) -> tuple[Float[Tensor, "B V P C"], Float[Tensor, "B S C"]]:
-        """The tokens of views and of the style behind this block."""
+    ) -> Float[Tensor, "B V P C"]:
         start = int(self.across)
-        x = self.ls1(x, self.attn(self.norm1(x).flatten(start, start + 1), angles.own_view).view_as(x))
-        if self.updates_style:
-            style = self.ls4(style, self.attn2(self.norm3(style), angles.own_style))
+        x = self.ls1(x, self.attn(self.norm1(x).flatten(start, start + 1), angles.own).view_as(x))
         # Each token attends for itself, so all views of a scene are one sequence.
         x = self.ls2(x, self.cross_attn(self.qnorm1(x).flatten(1, 2), self.kvnorm1(style), angles).view_as(x))
-        return self.ls3(x, self.mlp(self.norm2(x))), style
+        return self.ls3(x, self.mlp(self.norm2(x)))
 
 
 class StyleAggregator(nn.Module):
     """From the stem and the patches of a style image to the tokens that colours are decoded from.
 
-    The style has register tokens of its own and keeps its own grid; no layer changes it, unless blocks do
-    (``updates_style``). Where a layer has two blocks, their outputs lie side by
-    side, the later one's first.
+    The style has register tokens of its own and keeps its own grid; no layer changes it. Where a layer has two blocks,
+    their outputs lie side by side, the later one's first.
 
     Options are explained at :class:`~anystyle_backbones.stylos.Stylos`; ``registers`` are tokens of the style.
     """
@@ -115,7 +107,6 @@ class StyleAggregator(nn.Module):
         depth: int,
         order: Order,
         taps: Sequence[int],
-        updates_style: bool,
         checkpointing: bool,
         registers: int = 4,
     ) -> None:
@@ -125,7 +116,7 @@ class StyleAggregator(nn.Module):
         nn.init.normal_(self.register_token, std=1e-6)
 
         def block(kind: str) -> CrossBlock:
-            return CrossBlock(dim, heads, across=kind == "global", updates_style=updates_style)
+            return CrossBlock(dim, heads, across=kind == "global")
 
         self.layers = nn.ModuleList(nn.ModuleDict({kind: block(kind) for kind in KINDS[order]}) for _ in range(depth))
 
@@ -136,19 +127,16 @@ class StyleAggregator(nn.Module):
         turned = partial(rotary, dim=self.head_dim, base=100.0, like=stem.data)
         view = turned(grid_positions(stem.grid, stem.special, stem.data.device))
         of_style = turned(grid_positions(style.grid, registers.shape[1], stem.data.device))
-        blocks = [block for block in self.layers.modules() if isinstance(block, CrossBlock)]
-        own_view = with_norms((block.attn for block in blocks), view)
-        own_style = with_norms((block.attn2 for block in blocks), of_style) if blocks[0].updates_style else own_view
-        angles = map(Angles, repeat(view), repeat(of_style), own_view, own_style)
+        angles = map(Angles, with_norms(self.layers, view), repeat(view), repeat(of_style))
         tapped, tokens = [], stem
         for number, layer in enumerate(self.layers):
             tokens, outputs = inject(f"{SITES}/{number}", tokens), []
             assert isinstance(layer, nn.ModuleDict)
             for block in layer.values():
                 if self.checkpointing and self.training and torch.is_grad_enabled():
-                    data, styles = checkpoint(block, tokens.data, styles, next(angles), use_reentrant=False)
+                    data = checkpoint(block, tokens.data, styles, next(angles), use_reentrant=False)
                 else:
-                    data, styles = block(tokens.data, styles, next(angles))
+                    data = block(tokens.data, styles, next(angles))
                 tokens = tokens.with_data(data)
                 outputs.insert(0, data)
             if number in self.taps:

@@ -20,7 +20,7 @@ from anystyle_backbones.stylos.keys import StylosCheckpoints
 from tests.support import anysplat_reference, oracle, stylos_reference
 
 CHECKPOINTS = StylosCheckpoints()
-VARIANTS = ("global", "frame", "hybrid", "option_crossblock2")
+VARIANTS = ("global", "frame", "hybrid")
 CASES = [name for name in stylos_reference.record()["tiny"] if name.startswith("tiny_")]
 
 
