@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
@@ -77,10 +77,6 @@ class Links(NamedTuple):
     def aligned(self, views: Float[Tensor, "V 3 H W"]) -> tuple[Float[Tensor, "M 3 H W"], Float[Tensor, "M 3 H W"]]:
         """The first views, and the second ones moved onto them."""
         return views[self.first], sample_at(views[self.second], self.flow)
-
-    def chosen(self, pairs: Tensor | Sequence[int]) -> "Links":
-        """Some of the pairs."""
-        return Links(*(values[pairs] for values in self))
 
 
 class Windows:
@@ -187,7 +183,6 @@ def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Fr
     first, second = links.aligned(photographs)
     rho, contrast = correlation(first, second, Windows(seen), FINER)
     verified = seen & ((rho > AGREE) | (contrast < 4 * ROUNDING))
-    links = links._replace(verified=verified)
     own = disagreement(first, second, Windows(verified))
     agree = (verified.sum((1, 2)) >= ALIKE * seen.sum((1, 2))) & (own <= APART)
     return links._replace(verified=verified & agree[:, None, None])
@@ -368,7 +363,8 @@ class Consistency(Metric):
             if known is None:
                 warnings.warn(FOLLOWED, stacklevel=5)
             links = link(photographs, known, _frames(comparison, row, SIDE // 4))
-            links = links.chosen(links.verified.flatten(1).any(1))
+            kept = links.verified.flatten(1).any(1)
+            links = Links(*(values[kept] for values in links))
             allowed = colour_shift(photographs, *links.aligned(photographs), links.verified)
             self._links = (key, links, Windows(links.verified), allowed)
         return self._links[1:]
@@ -392,5 +388,4 @@ def _frames(comparison: Comparison, row: int, side: int) -> Frames | None:
     size = _size(comparison.content, side)
     cameras = comparison.cameras.resized(size)
     depth = F.interpolate(comparison.depth[row][None], size, mode="nearest-exact")[0]
-    images = _small(comparison.content[row], side)
-    return Frames(images, depth, cameras.world_from_camera[row], cameras.intrinsics[row])
+    return Frames(_small(comparison.content[row], side), depth, cameras.world_from_camera[row], cameras.intrinsics[row])
