@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,8 @@ os.environ["WARP_CACHE_PATH"] = str(Path(__file__).parent / "plugins" / "warp_re
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 gc.disable()
+# A suite in the background ignores interruption, and so would the programs that its tests start and interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # How long a draw or an example takes depends on what else the machine does.
 settings.register_profile("anystyle", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("anystyle")

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
@@ -78,17 +78,29 @@ class Links(NamedTuple):
         """The first views, and the second ones moved onto them."""
         return views[self.first], sample_at(views[self.second], self.flow)
 
-    def chosen(self, pairs: Tensor | Sequence[int]) -> "Links":
-        """Some of the pairs."""
-        return Links(*(values[pairs] for values in self))
+
+class Windows:
+    """Gaussian windows around pixels, in which only the pixels of a mask count.
+
+    Args:
+        mask: The pixels that count.
+    """
+
+    def __init__(self, mask: Bool[Tensor, "M H W"]) -> None:
+        self.mask = mask
+        self._kept = mask[:, None].float()
+        self._sums: dict[float, Float[Tensor, "M 1 H W"]] = {}  # one mask is asked for many results
+
+    def mean(self, values: Float[Tensor, "M C H W"], deviation: float) -> Float[Tensor, "M C H W"]:
+        """The mean around each pixel, 0 where none counts; the standard deviation is of the shorter side."""
+        sigma = deviation * min(self.mask.shape[-2:])
+        if sigma not in self._sums:
+            self._sums[sigma] = _blurred(self._kept, sigma).clamp_min(1e-6)
+        return _blurred(values * self._kept, sigma) / self._sums[sigma]
 
 
-def local_mean(
-    values: Float[Tensor, "M C H W"], mask: Float[Tensor, "M 1 H W"], sigma: float
-) -> Float[Tensor, "M C H W"]:
-    """The Gaussian mean of those values around each pixel that a mask keeps; 0 where there are none."""
-    sums = _smoothed(_smoothed(torch.cat([values * mask, mask], dim=1), sigma).mT, sigma).mT
-    return sums[:, :-1] / sums[:, -1:].clamp_min(1e-6)
+def _blurred(values: Float[Tensor, "M C H W"], sigma: float) -> Float[Tensor, "M C H W"]:
+    return _smoothed(_smoothed(values, sigma).mT, sigma).mT
 
 
 def _smoothed(values: Float[Tensor, "M C H W"], sigma: float) -> Float[Tensor, "M C H W"]:
@@ -107,28 +119,27 @@ def _gaussian(size: int, sigma: float) -> Float[Tensor, "N N"]:
 
 
 def correlation(
-    first: Float[Tensor, "M C H W"], second: Float[Tensor, "M C H W"], mask: Bool[Tensor, "M H W"], scale: float = 1.0
+    first: Float[Tensor, "M C H W"], second: Float[Tensor, "M C H W"], windows: Windows, scale: float = 1.0
 ) -> tuple[Float[Tensor, "M H W"], Float[Tensor, "M H W"]]:
     """Local correlation of aligned images in the band, over all channels at once, and the smaller local contrast.
 
-    Every window is normalised by the mask, so that nothing outside of it counts; ``scale`` multiplies the windows.
+    ``scale`` multiplies the band and the window.
     """
-    side, kept = scale * min(mask.shape[-2:]), mask[:, None].to(first)
     both = torch.cat([first, second], dim=1)
-    x, y = (local_mean(both, kept, FINE * side) - local_mean(both, kept, COARSE * side)).chunk(2, dim=1)
+    x, y = (windows.mean(both, FINE * scale) - windows.mean(both, COARSE * scale)).chunk(2, dim=1)
     products = torch.stack([(x * x).sum(1), (y * y).sum(1), (x * y).sum(1)], dim=1)
-    xx, yy, xy = local_mean(products, kept, WINDOW * side).unbind(1)
+    xx, yy, xy = windows.mean(products, WINDOW * scale).unbind(1)
     # Below what rounding leaves there is nothing to correlate, and the quotient falls to 0.
     return xy / (xx * yy).sqrt().clamp_min(ROUNDING**2), torch.minimum(xx, yy).sqrt()
 
 
 def disagreement(
-    first: Float[Tensor, "M C H W"], second: Float[Tensor, "M C H W"], mask: Bool[Tensor, "M H W"]
+    first: Float[Tensor, "M C H W"], second: Float[Tensor, "M C H W"], windows: Windows
 ) -> Float[Tensor, " M"]:
     """1 less the mean local correlation of aligned images, weighted by contrast; ``nan`` where there is none."""
-    rho, contrast = correlation(first, second, mask)
-    evidence = ((contrast > ROUNDING) & mask).sum((1, 2)) / mask.sum((1, 2))
-    weight = contrast * mask
+    rho, contrast = correlation(first, second, windows)
+    evidence = ((contrast > ROUNDING) & windows.mask).sum((1, 2)) / windows.mask.sum((1, 2))
+    weight = contrast * windows.mask
     return torch.where(evidence >= EVIDENCE, 1 - (weight * rho).sum((1, 2)) / weight.sum((1, 2)), torch.nan)
 
 
@@ -170,10 +181,9 @@ def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Fr
     links = Links(*pairs, overlap, flow, seen, seen)
     links = links._replace(flow=_corrected(photographs, links))
     first, second = links.aligned(photographs)
-    rho, contrast = correlation(first, second, seen, FINER)
+    rho, contrast = correlation(first, second, Windows(seen), FINER)
     verified = seen & ((rho > AGREE) | (contrast < 4 * ROUNDING))
-    links = links._replace(verified=verified)
-    own = disagreement(first, second, verified)
+    own = disagreement(first, second, Windows(verified))
     agree = (verified.sum((1, 2)) >= ALIKE * seen.sum((1, 2))) & (own <= APART)
     return links._replace(verified=verified & agree[:, None, None])
 
@@ -230,18 +240,17 @@ def _corrected(photographs: Float[Tensor, "V 3 H W"], links: Links) -> Float[Ten
     Least-squares steps in windows (Lucas and Kanade 1981), at most one pixel along each axis.
     """
     side = min(photographs.shape[-2:])
-    everywhere = torch.ones_like(photographs[:, :1])
-    gray = photographs.mean(1, keepdim=True)
-    centred = gray - local_mean(gray, everywhere, EXPOSURE * side)
-    alike = centred / (local_mean(centred.square(), everywhere, EXPOSURE * side).sqrt() + 4 * ROUNDING)
-    source, kept = alike[links.first], links.seen[:, None].to(alike)
+    gray, everywhere = photographs.mean(1, keepdim=True), Windows(torch.ones_like(photographs[:, 0]).bool())
+    centred = gray - everywhere.mean(gray, EXPOSURE)
+    alike = centred / (everywhere.mean(centred.square(), EXPOSURE).sqrt() + 4 * ROUNDING)
+    source, seen = alike[links.first], Windows(links.seen)
     dy, dx = torch.gradient(source, dim=(2, 3))
-    xx, yy, xy = local_mean(torch.cat([dx * dx, dy * dy, dx * dy], dim=1), kept, SPREAD * side).split(1, dim=1)
+    xx, yy, xy = seen.mean(torch.cat([dx * dx, dy * dy, dx * dy], dim=1), SPREAD).split(1, dim=1)
     xx, yy = xx + DAMPING, yy + DAMPING
     flow = links.flow
     for _ in range(STEPS):
         error = source - sample_at(alike[links.second], flow)
-        x, y = local_mean(torch.cat([dx * error, dy * error], dim=1), kept, SPREAD * side).split(1, dim=1)
+        x, y = seen.mean(torch.cat([dx * error, dy * error], dim=1), SPREAD).split(1, dim=1)
         update = torch.cat([yy * x - xy * y, xx * y - xy * x], dim=1) / (xx * yy - xy.square())
         flow = flow + update.clamp(-1, 1)
         flow = links.flow + (flow - links.flow).clamp(-MOVED * side, MOVED * side)
@@ -308,8 +317,8 @@ class Consistency(Metric):
         super().__init__()
         self.pairs: list[dict[str, float]] = []
         self._lacking = NO_EVIDENCE
-        # The last scene's pairs and the photographs' own change of colour in each, for its next style.
-        self._links: tuple[list[str], Links, Tensor] | None = None
+        # The last scene's pairs, their windows and the photographs' own change of colour in each, for its next style.
+        self._links: tuple[list[str], Links, Windows, Tensor] | None = None
         self.add_state("totals", torch.zeros(len(self.better), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("rows", torch.zeros(len(self.better), dtype=torch.long), dist_reduce_fx="sum")
 
@@ -326,10 +335,10 @@ class Consistency(Metric):
 
     def _row(self, comparison: Comparison, row: int) -> list[float]:
         """The scores of one style of a scene, in the order of ``better``."""
-        links, allowed = self._linked(comparison, row)
+        links, windows, allowed = self._linked(comparison, row)
         views = _small(comparison.stylized[row], SIDE)
         first, second = links.aligned(views)
-        structure = disagreement(first, second, links.verified)
+        structure = disagreement(first, second, windows)
         changes = flicker(colour_shift(views, first, second, links.verified), allowed)
         changes = changes.where(~structure.isnan(), torch.nan)
         self._lacking = TOO_FLAT if len(structure) else NO_EVIDENCE if len(views) > 1 else ONE_VIEW
@@ -343,7 +352,7 @@ class Consistency(Metric):
         parts = (structure, structure[short], structure[~short], changes, error, coverage, share)
         return [float(part.double().nanmean()) for part in parts]
 
-    def _linked(self, comparison: Comparison, row: int) -> tuple[Links, Tensor]:
+    def _linked(self, comparison: Comparison, row: int) -> tuple[Links, Windows, Tensor]:
         """The verified pairs of a scene and their change of colour, kept for the next style."""
         depth, cameras, parts = comparison.depth, comparison.cameras, [comparison.content[row]]
         if depth is not None and cameras is not None:
@@ -354,8 +363,10 @@ class Consistency(Metric):
             if known is None:
                 warnings.warn(FOLLOWED, stacklevel=5)
             links = link(photographs, known, _frames(comparison, row, SIDE // 4))
-            links = links.chosen(links.verified.flatten(1).any(1))
-            self._links = (key, links, colour_shift(photographs, *links.aligned(photographs), links.verified))
+            kept = links.verified.flatten(1).any(1)
+            links = Links(*(values[kept] for values in links))
+            allowed = colour_shift(photographs, *links.aligned(photographs), links.verified)
+            self._links = (key, links, Windows(links.verified), allowed)
         return self._links[1:]
 
 
@@ -377,5 +388,4 @@ def _frames(comparison: Comparison, row: int, side: int) -> Frames | None:
     size = _size(comparison.content, side)
     cameras = comparison.cameras.resized(size)
     depth = F.interpolate(comparison.depth[row][None], size, mode="nearest-exact")[0]
-    images = _small(comparison.content[row], side)
-    return Frames(images, depth, cameras.world_from_camera[row], cameras.intrinsics[row])
+    return Frames(_small(comparison.content[row], side), depth, cameras.world_from_camera[row], cameras.intrinsics[row])

@@ -15,7 +15,7 @@ from anystyle.testing.oracle import smooth_image
 from anystyle.types import Cameras, Comparison
 from anystyle_benchmark.distortions import blurred, flickering
 from anystyle_metrics import consistency
-from anystyle_metrics.consistency import Consistency, disagreement, error_of_mean, flicker
+from anystyle_metrics.consistency import Consistency, Windows, disagreement, error_of_mean, flicker
 from tests.support.known_scene import photographed_wall
 
 CAPTURES = {
@@ -31,7 +31,7 @@ def noise(seed, count=8):
 
 
 def score(first, second):
-    return float(disagreement(first, second, torch.ones(len(first), *SIZE).bool()).mean())
+    return float(disagreement(first, second, Windows(torch.ones(len(first), *SIZE).bool())).mean())
 
 
 def known(scene, views=slice(None)):
@@ -49,7 +49,7 @@ def test_what_moved_exactly_is_consistent_and_what_is_independent_is_not():
     texture = noise(0)
     flow = torch.tensor([7.0, -3.0]).view(1, 2, 1, 1).expand(8, 2, *SIZE)
     inside = sample_at(torch.ones(8, 1, *SIZE), flow)[:, 0] > 0.999
-    moved = disagreement(texture.roll((-3, 7), (2, 3)), sample_at(texture, -flow), inside.flip(1, 2))
+    moved = disagreement(texture.roll((-3, 7), (2, 3)), sample_at(texture, -flow), Windows(inside.flip(1, 2)))
     assert float(moved.abs().max()) < 1e-4
     assert score(noise(1), noise(2)) == pytest.approx(1, abs=0.01)
     for share in (0.25, 0.5):

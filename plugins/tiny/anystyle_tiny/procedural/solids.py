@@ -13,7 +13,6 @@ SPHERE, BOX, CYLINDER, CONE = range(4)
 # Columns of a solid: kind, centre, half sizes and their inverses (in axes that are turned about y only), cosine and
 # sine of the turn, radius of the bounding sphere, radius of the ball that dims what is near, index of its material.
 SHAPE, CENTRE, HALF, INVERSE, COS, SIN, BOUND, BULK, PAINT = 0, 1, 4, 7, 10, 11, 12, 13, 14
-SOLID_COLUMNS = 15
 
 FLOOR, WALL, CEILING, SOLIDS = range(4)
 """Labels of what a ray meets, and materials of the surroundings; solid i has the label SOLIDS + i."""

@@ -19,7 +19,6 @@ PLAIN, STRIPES, CHECKER, DOTS, BRICKS, TILES, WOOD, MARBLE, NOISE, LEAVES, CELLS
 # Columns of a material: kind, period in metres, three colours, offset, cosine and sine of the pattern's turn,
 # amplitude of the 1/f overlay, gloss.
 KIND, PERIOD, COLOR_A, COLOR_B, COLOR_C, OFFSET, COSINE, SINE, ROUGH, GLOSS = 0, 1, 2, 5, 8, 11, 14, 15, 16, 17
-MATERIAL_COLUMNS = 18
 
 
 @compiled
