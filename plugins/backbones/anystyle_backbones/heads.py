@@ -133,13 +133,16 @@ def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, dept
     """Refuse options of a backbone that contradict each other; heads read layers ``first`` to ``depth - 1``."""
     if dim % (4 * heads):
         raise UserError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
-    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < first or taps[-1] != depth - 1:
-        raise UserError(
-            f"taps are {list(taps)}; give four layers from {first} on in rising order, of which the last is "
-            f"depth - 1 = {depth - 1}"
-        )
+    check_taps("taps", taps, first, depth)
     if 2 * dim % camera_heads:
         raise UserError(f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels")
+
+
+def check_taps(name: str, taps: Sequence[int], first: int, depth: int) -> None:
+    """Refuse what are not four layers from ``first`` to ``depth - 1``, this one the last."""
+    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < first or taps[-1] != depth - 1:
+        wanted = f"four layers from {first} on in rising order, of which the last is depth - 1 = {depth - 1}"
+        raise UserError(f"{name} are {list(taps)}; give {wanted}")
 
 
 def positions(stored: Float[Tensor, "1 L C"], grid: tuple[int, int], **resampling: Any) -> Float[Tensor, "1 M C"]:

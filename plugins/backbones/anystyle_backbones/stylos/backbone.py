@@ -8,11 +8,11 @@ from typing import ClassVar
 from torch import nn
 
 from anystyle.contracts import StylePredictor
-from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones.anysplat.backbone import AnySplat
 from anystyle_backbones.anysplat.networks import Aggregator
 from anystyle_backbones.dpt import Dpt
+from anystyle_backbones.heads import check_taps
 from anystyle_backbones.stylos.heads import GaussianHead, StylosBranch
 from anystyle_backbones.stylos.transformer import Order, StemAggregator, StyleAggregator
 
@@ -80,11 +80,7 @@ class Stylos(AnySplat):
         chunk: AtLeastOne = 4,
         checkpointing: bool = False,
     ) -> None:
-        if len(style_taps) != 4 or list(style_taps) != sorted({*style_taps}) or style_taps[-1] != style_depth - 1:
-            raise UserError(
-                f"style_taps are {list(style_taps)}; give four layers in rising order, the last of which is "
-                f"style_depth - 1 = {style_depth - 1}"
-            )
+        check_taps("style_taps", style_taps, 0, style_depth)
         super().__init__(
             resolution=resolution,
             native_resolution=native_resolution,
