@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from anystyle.contracts import LinearView
 from anystyle.errors import MissingExtra
 from anystyle.geometry.projection import ProjectedGaussians
-from anystyle.renderers.rasterizer import BlendedView, at_least_single
+from anystyle.renderers.rasterizer import KeptView, at_least_single
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from anystyle_warp_renderer.tiles import TileLists, imported
@@ -60,7 +60,7 @@ class WarpRenderer(TorchRenderer):
 
         image, number = _Blending.apply(shapes, payload.float(), tiles), gaussians.means.shape[1]
         kept = shapes, splats.index, tiles.entries, tiles.starts, payload
-        return BlendedView(image, self.background, blend, number, kept)
+        return KeptView(image, self.background, blend, number, kept)
 
 
 class _Blending(torch.autograd.Function):

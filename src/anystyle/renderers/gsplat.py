@@ -10,7 +10,7 @@ from anystyle.contracts import LinearView
 from anystyle.errors import MissingExtra
 from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances
-from anystyle.renderers.rasterizer import BlendedView, Rasterizer, at_least_single
+from anystyle.renderers.rasterizer import KeptView, Rasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 
 
@@ -53,7 +53,7 @@ class GsplatRenderer(Rasterizer):
             image = _gsplat().rasterize_to_pixels(means, shapes[0], colors[None], shapes[1], *places)[0]
             return image[0].movedim(-1, 0)
 
-        return BlendedView(image[0], self.background, blend, gaussians.means.shape[1], [means, *shapes, *places[3:]])
+        return KeptView(image[0], self.background, blend, gaussians.means.shape[1], [means, *shapes, *places[3:]])
 
     def _scene(
         self, gaussians: Gaussians, cameras: Cameras, scene: int

@@ -98,7 +98,7 @@ def composite(image: Float[Tensor, "B V 5 H W"], background: Sequence[float]) ->
     return Renders(color=(color + transmittance * behind).clamp(0, 1), depth=depth, alpha=1 - transmittance[:, :, 0])
 
 
-class BlendedView(LinearView):
+class KeptView(LinearView):
     """The Gaussians of one view, projected and listed by tile once, which are blended again for other colours.
 
     Args:
