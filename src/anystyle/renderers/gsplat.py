@@ -50,8 +50,9 @@ class GsplatRenderer(Rasterizer):
         places = [made[name] for name in ("width", "height", "tile_size", "isect_offsets", "flatten_ids")]
 
         def blend(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
-            image = _gsplat().rasterize_to_pixels(means, shapes[0], colors[None], shapes[1], *places)[0]
-            return image[0].movedim(-1, 0)
+            return (
+                _gsplat().rasterize_to_pixels(means, shapes[0], colors[None], shapes[1], *places)[0][0].movedim(-1, 0)
+            )
 
         return KeptView(image[0], self.background, blend, gaussians.means.shape[1], [means, *shapes, *places[3:]])
 
