@@ -51,9 +51,8 @@ class _Parts(NamedTuple):
         i, j = i[i != j], j[i != j]
         areas, colors = self.areas(), CONSTANT * self.harmonics[:, 0]
         apart = (self.means[i] - self.means[j]).square().sum(1) / areas[i].maximum(areas[j])
-        error = 1 / (1 / self.pixels[i] + 1 / self.pixels[j])
-        error *= (colors[i] - colors[j]).square().sum(1) + DISTANCE * apart
-        order = error.argsort(stable=True)
+        unlike = (colors[i] - colors[j]).square().sum(1) + DISTANCE * apart
+        order = (unlike / (1 / self.pixels[i] + 1 / self.pixels[j])).argsort(stable=True)
         i, j, group = i[order], j[order], torch.arange(len(near))
         while fewer and len(i):
             rank = torch.arange(len(i))
