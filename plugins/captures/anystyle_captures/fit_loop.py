@@ -18,7 +18,7 @@ from anystyle.errors import UserError
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress, no_progress
 from anystyle_captures.free_space import FreeSpace
-from anystyle_captures.initial import InitialGaussians
+from anystyle_captures.initial import InitialGaussians, lift
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
 from anystyle_captures.poses import LEFT, MAX_RATE, REACH, RefinedCameras
@@ -26,14 +26,18 @@ from anystyle_captures.start import GivenGaussians
 
 logger = logging.getLogger(__name__)
 RATES = {
-    "offsets": (0.07, 0.05),  # of centres, in footprints of a pixel
-    "scales": (0.04, 0.2),  # of log scales
-    "rotations": (0.005, 0.3),  # of quaternions
-    "opacities": (0.05, 0.2),  # of logits
-    "colors": (0.02, 0.3),  # of constant harmonics
-    "harmonics": (0.001, 0.3),  # of the others
+    "offsets": 0.06,  # of centres, in footprints of a pixel
+    "scales": 0.06,  # of log scales
+    "rotations": 0.0075,  # of quaternions
+    "opacities": 0.075,  # of logits
+    "colors": 0.03,  # of constant harmonics
+    "harmonics": 0.0015,  # of the others
 }
-"""The learning rate at the start, and the fraction of it that is left at the end."""
+"""The learning rates. They do not fall: the scene is the mean of the last steps instead."""
+AVERAGED = 0.2
+"""The fraction of the steps, and again of the final ones, that the mean is over (Polyak and Juditsky 1992)."""
+VISITS = 4
+"""How often a pass of the final steps sees each view that was held out; the others once."""
 DSSIM = 0.2
 """Weight of 1 - SSIM beside L1, as in 3D Gaussian splatting."""
 MIN_OPACITY, MAX_FOOTPRINTS, NEAREST = 0.02, 60.0, 0.03
@@ -64,9 +68,9 @@ class FitOptions:
     num_steps: int = 1000  # of one view each
     half_resolution: float = 0.6  # fraction of the steps that is taken at half the resolution
     dropout: float = 0.1  # fraction of the Gaussians that a step leaves out, as DropGaussian (Park et al. 2025)
-    warmth: float = 0.0  # fraction of the fall of rates that a given start is beyond
+    rate: float = 1.0  # factor on the learning rates of Gaussians and exposures
     degree: int = 0  # of the spherical harmonics
-    exposure_lr: float = 0.002  # falls to a tenth; 0 disables exposure
+    exposure_lr: float = 0.003  # falls to a tenth; 0 disables exposure
     scale_weight: float = 0.0  # of the mean scale in footprints: only small Gaussians leave room for a style's strokes
     refine: Literal["none", "poses", "lenses"] = "none"  # cameras; lenses: poses, too
     evaluate_every: int = 200
@@ -154,10 +158,6 @@ class Exposures:
         self.values[self.training] -= self.values[self.training].mean(0)
 
 
-Initial = Callable[[Cameras, Sequence[int], Sequence[int]], InitialScene]
-"""Gaussians at pixels of some views, the second, by stereo of others, the first, with the cameras of all views."""
-
-
 class FitLoop:
     """A fit, one view per step, which can be interrupted and resumed between any two steps."""
 
@@ -170,10 +170,9 @@ class FitLoop:
         options: FitOptions,
         *,
         heldout: tuple[int, ...] = (),
-        initial: Initial | None = None,
         masks: Masks | None = None,
     ) -> None:
-        self.initial, self.masks = initial, masks
+        self.masks = masks
         # Photographs of which masks leave nothing teach nothing.
         self.useful = [view for view in range(len(images)) if masks is None or bool(masks.measured[view].any())]
         self.training = [view for view in self.useful if view not in heldout]
@@ -181,8 +180,8 @@ class FitLoop:
         self.step = 0
         self.quality: Quality | None = None
         self.aligned_psnr: float | None = None
-        # Views that are left of a pass; the PSNR of the last pass.
-        self.order, self.recent = list[int](), list[Tensor]()
+        # Views that are left of a pass; the PSNR of the last pass; sums of parameters.
+        self.order, self.recent, self.sums = list[int](), list[Tensor](), dict[str, Tensor]()
         self.images, self.given, self.renderer, self.options = images, cameras, renderer, options
         self.heldout = heldout
         self.half_size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
@@ -192,7 +191,7 @@ class FitLoop:
         depth = float((start.gaussians.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.nearest, refine = NEAREST * depth, options.refine
         self.refined = None if refine == "none" else RefinedCameras(cameras, depth, lenses=refine == "lenses")
-        self.splats = _parameters(start.gaussians.gaussians(options.degree), start.gaussians.footprints)
+        self.splats = self._parameters(start.gaussians.gaussians(options.degree), start.gaussians.footprints)
         self._carve()
         self.background = background(renderer, self.gaussians(), cameras)
         self.exposures = Exposures(cameras, self.training)
@@ -212,17 +211,19 @@ class FitLoop:
         """The current Gaussians, a batch of one scene."""
         return self.splats.gaussians()
 
+    def _parameters(self, gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
+        rates = {name: self.options.rate * rate for name, rate in RATES.items()}
+        return GaussianParameters(gaussians, rates, footprints)
+
     def advance(self) -> Float[Tensor, ""]:
         """Take one step, on one view, and return the PSNR before it, which a card has not computed yet."""
         options = self.options
-        fraction = self.step / options.num_steps
-        fraction = options.warmth + (1 - options.warmth) * fraction
-        if fraction >= 1:  # rates rise again for the views that were held out
-            fraction = (1 + (self.step - options.num_steps) / options.final_steps) / 2
-        self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
+        final = self.step >= options.num_steps
+        done, stage = (self.step - options.num_steps, options.final_steps) if final else (self.step, options.num_steps)
+        fraction = (1 + done / stage) / 2 if final else done / stage
         if not self.order:
-            order = torch.randperm(len(self.training), generator=self.generator).tolist()
-            self.order = [self.training[i] for i in order]
+            views = self.training + (VISITS - 1) * [view for view in self.heldout if final and view in self.useful]
+            self.order = [views[i] for i in torch.randperm(len(views), generator=self.generator).tolist()]
         view = self.order.pop()
         coarse = self.step < options.half_resolution * options.num_steps
         images, masks = (self.half_images, self.half_masks) if coarse else (self.images, self.masks)
@@ -250,17 +251,27 @@ class FitLoop:
         self._shrink()
         self.splats.step()
         if options.exposure_lr:
-            self.exposure_optimizer.param_groups[0]["lr"] = options.exposure_lr * 0.1**fraction
+            self.exposure_optimizer.param_groups[0]["lr"] = options.rate * options.exposure_lr * 0.1**fraction
             self.exposure_optimizer.step()
             self.exposure_optimizer.zero_grad(set_to_none=True)
             self.exposures.center()
+        if done + 1 > (1 - AVERAGED) * stage:
+            self._average(math.ceil(AVERAGED * stage) if done + 1 == stage else 0)
         if refined is not None:
             rate = min(MAX_RATE, REACH * len(self.training) / options.num_steps)
             refined.step(view, rate * LEFT**fraction, self.training)
         self.step += 1
-        if self.step % PRUNE_EVERY == 0 and fraction < 0.8:
+        if self.step % PRUNE_EVERY == 0 and done + 1 < (1 - AVERAGED) * stage:
             self._prune()
         return psnr(color.detach(), target, measured)[0]
+
+    @torch.no_grad()
+    def _average(self, number: int) -> None:
+        """Sum parameters up; after a ``number`` of steps, which 0 is not, they become their mean."""
+        for name, value in self.splats.parameters.items():
+            self.sums[name] = self.sums.get(name, 0) + value.detach()
+            if number:
+                value.copy_(self.sums.pop(name) / number)
 
     @torch.no_grad()
     def _shrink(self) -> None:
@@ -369,15 +380,30 @@ class FitLoop:
         quality = self.heldout_quality()
         self.aligned_psnr = quality and quality.psnr
 
+    @torch.no_grad()
     def _include_heldout(self) -> None:
-        """From now on steps see all views; those held out begin with the exposure of neighbouring views."""
-        with torch.no_grad():
-            for view in self.heldout:
-                self.exposures.values[view] = self.exposures.of(view)
-        if self.initial is not None:
-            added, self.free_space, _ = self.initial(self.cameras, range(len(self.images)), self.heldout)
-            together = Gaussians.cat([self.gaussians().detach(), added.gaussians(self.options.degree)], dim=1)
-            self.splats = _parameters(together, torch.cat([self.splats.units, added.footprints]))
+        """From now on steps see all views; those held out begin with the exposure of neighbouring views.
+
+        Where they differ from the scene, their pixels are lifted to its depth, as many as other views have Gaussians.
+        """
+        number, added = max(1, len(self.splats) // len(self.training)), list[InitialGaussians]()
+        for view in (view for view in self.heldout if view in self.useful):
+            self.exposures.values[view] = self.exposures.of(view)
+            renders = self.renderer(self.gaussians(), self.cameras.select([view]))
+            depth = (renders.depth / renders.alpha.clamp_min(1e-6))[0].cpu()
+            error = (self.render(view) - self.images[view, None]).abs().mean(1).cpu()
+            if self.masks is not None:
+                error *= self.masks.measured[view, None].cpu()
+            # As many, drawn in proportion to the error (Efraimidis and Spirakis 2006).
+            drawn = error / torch.empty_like(error).exponential_(generator=self.generator)
+            chosen = drawn.flatten().topk(min(number, error.numel())).indices
+            pixels = torch.stack(torch.unravel_index(chosen, error.shape), dim=1)
+            camera = self.cameras.select([view]).to("cpu")
+            added.append(lift(self.images[view, None].cpu(), camera, depth[pixels.unbind(1)], pixels))
+        if added:
+            new = InitialGaussians.cat(added).to(self.images.device)
+            together = Gaussians.cat([self.gaussians().detach(), new.gaussians(self.options.degree)], dim=1)
+            self.splats = self._parameters(together, torch.cat([self.splats.units, new.footprints]))
             self._clear()
         self.training = self.useful
         self._carve()
@@ -412,6 +438,7 @@ class FitLoop:
             "training": self.training,
             "order": self.order,
             "recent": self.recent,
+            "sums": self.sums,
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.values.detach(),
             "exposure_optimizer": self.exposure_optimizer.state_dict(),
@@ -427,6 +454,7 @@ class FitLoop:
         self.generator.set_state(state["generator"])
         self.training = list(state["training"])
         self.step, self.order, self.recent = state["step"], list(state["order"]), list(state["recent"])
+        self.sums = dict(state["sums"])
         self.splats.load_state_dict(state["splats"])
         with torch.no_grad():
             self.exposures.values.copy_(state["exposures"])
@@ -449,7 +477,3 @@ def background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Fl
     """The colour that a renderer shows where there is nothing."""
     nothing = replace(gaussians, opacities=torch.zeros_like(gaussians.opacities)).map(lambda tensor: tensor[:, :1])
     return renderer(nothing, cameras.select([0])).color[0, 0].mean((1, 2))[:, None, None]
-
-
-def _parameters(gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
-    return GaussianParameters(gaussians, {name: rate for name, (rate, _) in RATES.items()}, footprints)

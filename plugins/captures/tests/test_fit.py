@@ -55,9 +55,9 @@ def test_the_final_steps_begin_with_gaussians_of_the_views_held_out(photographs,
 def test_stereo_reads_small_images_and_pixels_are_those_of_the_photographs(photographs, monkeypatch):
     images, cameras, _ = photographs
     given = images, None, None, 900, 0, cameras
-    whole = captures_fit._initial(*given, range(9), range(9)).gaussians
+    whole = captures_fit._initial(*given, range(9)).gaussians
     monkeypatch.setattr(captures_fit, "STEREO_SIDE", min(images.shape[-2:]) // 2)
-    small = captures_fit._initial(*given, range(9), range(9)).gaussians
+    small = captures_fit._initial(*given, range(9)).gaussians
     for initial in (whole, small):
         view, row, column = initial.pixels.unbind(1)
         local = torch.einsum("nij,nj->ni", cameras.camera_from_world[0, view], pad(initial.means, (0, 1), value=1.0))
