@@ -366,10 +366,7 @@ def _initial(
     share = BEHIND + IN_SKY * float(stereo.depth.isposinf().double().mean())
     behind = backdrop(chosen, posed, stereo, num_gaussians=math.ceil(share * num_gaussians), generator=generator)
     initial = InitialGaussians.cat([surfaces, behind])
-    view, row, column = initial.pixels.unbind(1)
-    rows, columns = (row + 0.5) * height / size[0], (column + 0.5) * width / size[1]
-    pixels = torch.stack([torch.tensor(seen)[view], rows.long(), columns.long()], dim=1)
-    initial = replace(initial, pixels=pixels, footprints=initial.footprints * size[1] / width)
+    initial = replace(initial, footprints=initial.footprints * size[1] / width)
     confirmed = float((stereo.support > 0).double().mean())
     return InitialScene(initial.to(images.device), FreeSpace.of(stereo, posed).to(images.device), confirmed)
 

@@ -180,10 +180,9 @@ class FitLoop:
         self.step = 0
         self.quality: Quality | None = None
         self.aligned_psnr: float | None = None
-        # Views that are left of a pass; the PSNR of the last pass; sums of parameters.
-        self.order, self.recent, self.sums = list[int](), list[Tensor](), dict[str, Tensor]()
+        self.order, self.sums = list[int](), dict[str, Tensor]()  # views that are left of a pass; of parameters
         self.images, self.given, self.renderer, self.options = images, cameras, renderer, options
-        self.heldout = heldout
+        self.heldout = [view for view in heldout if view in self.useful]
         self.half_size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images = interpolate(images, size=self.half_size, mode="area")
         self.half_masks = None if masks is None else masks.resized(self.half_size)
@@ -215,14 +214,14 @@ class FitLoop:
         rates = {name: self.options.rate * rate for name, rate in RATES.items()}
         return GaussianParameters(gaussians, rates, footprints)
 
-    def advance(self) -> Float[Tensor, ""]:
-        """Take one step, on one view, and return the PSNR before it, which a card has not computed yet."""
+    def advance(self) -> None:
+        """Take one step, on one view."""
         options = self.options
         final = self.step >= options.num_steps
         done, stage = (self.step - options.num_steps, options.final_steps) if final else (self.step, options.num_steps)
         fraction = (1 + done / stage) / 2 if final else done / stage
         if not self.order:
-            views = self.training + (VISITS - 1) * [view for view in self.heldout if final and view in self.useful]
+            views = self.training + (VISITS - 1) * (self.heldout if final else [])
             self.order = [views[i] for i in torch.randperm(len(views), generator=self.generator).tolist()]
         view = self.order.pop()
         coarse = self.step < options.half_resolution * options.num_steps
@@ -230,40 +229,35 @@ class FitLoop:
         refined = self.refined if self.step >= REFINE_FROM * options.num_steps else None
         cameras = self.cameras.select([view]) if refined is None else refined.cameras([view])
         cameras = cameras.resized((images.shape[-2], images.shape[-1]))
-        target = images[view, None]
-        gaussians = self.gaussians()
+        target, gaussians = images[view, None], self.gaussians()
         kept = torch.rand(len(self.splats), generator=self.generator).to(images) >= options.dropout
         opacities = (gaussians.opacities * kept / (1 - options.dropout)).clamp_max(MAX_OPACITY)
         renders = self.renderer(replace(gaussians, opacities=opacities), cameras)
         # Over random colours, so that no Gaussian lets the background through where there is something.
         transmittance = 1 - renders.alpha[0, :, None]
         color = renders.color[0] - transmittance * self.background
-        color = self.exposures.apply(color, view, 1.0 if masks is None else 1 - transmittance)
         random = torch.rand(3, generator=self.generator).to(color)[:, None, None]
-        color = color + transmittance * random
-        measured = torch.ones_like(target[:, 0], dtype=torch.bool)
+        color = self.exposures.apply(color, view, 1.0 if masks is None else 1 - transmittance) + transmittance * random
         if masks is not None:
             # Over the same colours, so that transparency is asked for where nothing is there.
             target = target + (1 - masks.alpha[view]) * (random - 1)
             color = torch.where(masks.valid[view], color, target)
-            measured = masks.measured[view, None]
         photometric_loss(color, target, dssim=DSSIM).backward()
         self._shrink()
         self.splats.step()
-        if options.exposure_lr:
-            self.exposure_optimizer.param_groups[0]["lr"] = options.rate * options.exposure_lr * 0.1**fraction
-            self.exposure_optimizer.step()
-            self.exposure_optimizer.zero_grad(set_to_none=True)
-            self.exposures.center()
-        if done + 1 > (1 - AVERAGED) * stage:
-            self._average(math.ceil(AVERAGED * stage) if done + 1 == stage else 0)
+        self.exposure_optimizer.param_groups[0]["lr"] = options.rate * options.exposure_lr * 0.1**fraction
+        self.exposure_optimizer.step()
+        self.exposure_optimizer.zero_grad(set_to_none=True)
+        self.exposures.center()
+        last = max(1, round(AVERAGED * stage))
+        if done >= stage - last:
+            self._average(last if done + 1 == stage else 0)
         if refined is not None:
             rate = min(MAX_RATE, REACH * len(self.training) / options.num_steps)
             refined.step(view, rate * LEFT**fraction, self.training)
         self.step += 1
-        if self.step % PRUNE_EVERY == 0 and done + 1 < (1 - AVERAGED) * stage:
+        if self.step % PRUNE_EVERY == 0 and done < stage - last:
             self._prune()
-        return psnr(color.detach(), target, measured)[0]
 
     @torch.no_grad()
     def _average(self, number: int) -> None:
@@ -290,9 +284,7 @@ class FitLoop:
         scales, opacities = (self.splats.parameters[name] for name in ("scales", "opacities"))
         distance = torch.cdist(self.gaussians().means[0], self.cameras.world_from_camera[0, :, :3, 3]).amin(1)
         keep = (opacities.sigmoid() >= MIN_OPACITY) & (scales.amax(1).exp() <= MAX_FOOTPRINTS * self.splats.units)
-        index = (keep & (distance >= self.nearest)).nonzero()[:, 0]
-        if len(index) < len(keep):
-            self.splats.select(index)
+        self.splats.select((keep & (distance >= self.nearest)).nonzero()[:, 0])
         self._clear()
         self._carve()
 
@@ -332,7 +324,7 @@ class FitLoop:
         """Take all steps; the final ones are on all views."""
         started, first = time.monotonic(), self.step
         while self.step < self.last_step:
-            self.recent = [*self.recent[1 - len(self.training) :], self.advance()]
+            self.advance()
             # Held-out views are included after the last step without them.
             if self.step % self.options.evaluate_every and self.step not in (self.last_step, self.options.num_steps):
                 continue
@@ -340,28 +332,23 @@ class FitLoop:
                 self.quality = self.heldout_quality()
             if self.step == self.options.num_steps and self.refined is not None:
                 self._align_heldout(self.refined)
-            if self.step == self.options.num_steps and self.options.final_steps:
+            if self.step == self.options.num_steps < self.last_step:
                 self._include_heldout()
             pace = (time.monotonic() - started) / (self.step - first)
-            psnr, which = (self.quality.psnr, " on views held out") if self.quality else (self.mean, "")
-            left = f"{pace * (self.last_step - self.step):.0f} s left"
-            line = f"step {self.step} of {self.last_step}: {psnr:.1f} dB{which}, {left}"
+            shown, which = self.quality or self._quality(self.training[:1]), " on views held out" * bool(self.quality)
+            left = pace * (self.last_step - self.step)
+            line = f"step {self.step} of {self.last_step}: {shown.psnr:.1f} dB{which}, {left:.0f} s left"
             on_progress(Progress(line, self.step / self.last_step))
             on_checkpoint()
         self._carve()
         gains, biases = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach().split(3, 1)
-        unlike = torch.full_like(gains[:, 0], math.nan)
+        unlike, fitted = torch.full((2, len(gains)), math.nan).to(gains)
         for view in self.training:
-            unlike[view] = unexplained(self.render(view), self.images[view, None], self._measured([view]))[0]
-        cameras, quality = self.cameras, (self.quality, self.aligned_psnr)
-        posed = cameras.world_from_camera[0], cameras.intrinsics[0]
-        scene = self.gaussians().detach(), 1 + gains, biases
-        return FitResult(*scene, self.step, self.mean, unlike, quality[0], *posed, quality[1])
-
-    @property
-    def mean(self) -> float:
-        """The mean PSNR of the last pass over the views."""
-        return sum(map(float, self.recent)) / max(len(self.recent), 1)
+            given = self.render(view), self.images[view, None], self._measured([view])
+            unlike[view], fitted[view] = unexplained(*given)[0], psnr(*given)[0]
+        posed = self.cameras.world_from_camera[0], self.cameras.intrinsics[0]
+        scene = self.gaussians().detach(), 1 + gains, biases, self.step, float(fitted.nanmean()), unlike
+        return FitResult(*scene, self.quality, *posed, self.aligned_psnr)
 
     @property
     def last_step(self) -> int:
@@ -370,10 +357,9 @@ class FitLoop:
 
     def _align_heldout(self, refined: RefinedCameras) -> None:
         """Refine the cameras of views held out, against the scene as it is."""
-        views = [view for view in self.heldout if view in self.useful]
         coarse, fine = (self.half_images, self.half_masks), (self.images, self.masks)
         side = min(self.half_size)
-        for view in views:
+        for view in self.heldout:
             for (images, masks), window in ((coarse, max(side // 8, 1)), (coarse, max(side // 16, 1)), (fine, 1)):
                 measured = None if masks is None else masks.measured[view, None]
                 refined.align(view, partial(self.render, view), images[view, None], measured, window)
@@ -387,24 +373,21 @@ class FitLoop:
         Where they differ from the scene, their pixels are lifted to its depth, as many as other views have Gaussians.
         """
         number, added = max(1, len(self.splats) // len(self.training)), list[InitialGaussians]()
-        for view in (view for view in self.heldout if view in self.useful):
+        for view in self.heldout:
             self.exposures.values[view] = self.exposures.of(view)
             renders = self.renderer(self.gaussians(), self.cameras.select([view]))
             depth = (renders.depth / renders.alpha.clamp_min(1e-6))[0].cpu()
-            error = (self.render(view) - self.images[view, None]).abs().mean(1).cpu()
-            if self.masks is not None:
-                error *= self.masks.measured[view, None].cpu()
+            error = ((self.render(view) - self.images[view, None]).abs().mean(1) * self._measured([view])).cpu()
             # As many, drawn in proportion to the error (Efraimidis and Spirakis 2006).
             drawn = error / torch.empty_like(error).exponential_(generator=self.generator)
             chosen = drawn.flatten().topk(min(number, error.numel())).indices
             pixels = torch.stack(torch.unravel_index(chosen, error.shape), dim=1)
-            camera = self.cameras.select([view]).to("cpu")
-            added.append(lift(self.images[view, None].cpu(), camera, depth[pixels.unbind(1)], pixels))
-        if added:
-            new = InitialGaussians.cat(added).to(self.images.device)
-            together = Gaussians.cat([self.gaussians().detach(), new.gaussians(self.options.degree)], dim=1)
-            self.splats = self._parameters(together, torch.cat([self.splats.units, new.footprints]))
-            self._clear()
+            given = self.images[view, None].cpu(), self.cameras.select([view]).to("cpu")
+            added.append(lift(*given, depth[pixels.unbind(1)], pixels))
+        new = InitialGaussians.cat(added).to(self.images.device)
+        together = Gaussians.cat([self.gaussians().detach(), new.gaussians(self.options.degree)], dim=1)
+        self.splats = self._parameters(together, torch.cat([self.splats.units, new.footprints]))
+        self._clear()
         self.training = self.useful
         self._carve()
         self.exposures.train(self.training)
@@ -412,14 +395,15 @@ class FitLoop:
 
     def heldout_quality(self) -> Quality | None:
         """How well the views held out are rendered, if there are any."""
-        views = [view for view in self.heldout if view in self.useful]
-        if not views:
-            return None
+        return self._quality(self.heldout) if self.heldout else None
+
+    def _quality(self, views: list[int]) -> Quality:
         renders = torch.cat([self.render(view) for view in views])
         return quality_of(renders, self.images[views], self._measured(views))
 
-    def _measured(self, views: list[int]) -> Bool[Tensor, "M H W"] | None:
-        return None if self.masks is None else self.masks.select(views).measured
+    def _measured(self, views: list[int]) -> Bool[Tensor, "M H W"]:
+        everywhere = torch.ones_like(self.images[views, 0], dtype=torch.bool)
+        return everywhere if self.masks is None else self.masks.select(views).measured
 
     @torch.no_grad()
     def render(self, view: int, camera: Cameras | None = None) -> Float[Tensor, "1 3 H W"]:
@@ -437,7 +421,6 @@ class FitLoop:
             "step": self.step,
             "training": self.training,
             "order": self.order,
-            "recent": self.recent,
             "sums": self.sums,
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.values.detach(),
@@ -453,7 +436,7 @@ class FitLoop:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.generator.set_state(state["generator"])
         self.training = list(state["training"])
-        self.step, self.order, self.recent = state["step"], list(state["order"]), list(state["recent"])
+        self.step, self.order = state["step"], list(state["order"])
         self.sums = dict(state["sums"])
         self.splats.load_state_dict(state["splats"])
         with torch.no_grad():
