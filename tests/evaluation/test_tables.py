@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -42,11 +43,17 @@ def test_every_form_names_the_stand_ins(tmp_path):
     for name in ("metrics.csv", "table.md", "table.tex"):
         assert STAND_IN in (tmp_path / name).read_text(), name
     lines = (tmp_path / "table.md").read_text().splitlines()
-    said = {line.split("|")[1].strip(): line for line in lines if line.startswith("| ")}
-    assert STAND_IN in said["art_fid ↓"] and STAND_IN not in said["change ↓"]
+    scores = {line.split("|")[1].strip() for line in lines if line.startswith("| ")}
+    assert {"art_fid ↓ †", "change ↓"} < scores and f"† {STAND_IN}: by texture" in "\n".join(lines)
     plain = Evaluation(scores={"change": 0.25}, n=1)
     record.write(plain, tmp_path, KNOWN)
     assert all(STAND_IN not in (tmp_path / name).read_text() for name in ("metrics.csv", "table.md", "table.tex"))
+
+
+def test_groups_that_outnumber_the_scores_are_rows():
+    table = record.summary(replace(FOUND, groups={f"scene {name}": {"art_fid": 20.0} for name in "ABC"}))
+    assert table.columns[:3] == ("", "art_fid ↓ †", "change ↓")
+    assert [row[:2] for row in table.rows[1:]] == [("A", "20"), ("B", "20"), ("C", "20")]
 
 
 def test_what_is_no_evaluation_is_told_apart(tmp_path):

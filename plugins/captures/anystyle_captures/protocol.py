@@ -83,7 +83,8 @@ class Captures(Protocol):
     ``unstyled`` fit, the photographs in the colours of the painting (``palette``), the fit ``stylized``, and the
     photographs painted one by one (``view_by_view``), with the cameras of the fit and the depth by stereo that it
     begins with, where another photograph confirms it. ``photographs over KIND`` is the share of captures and styles in
-    which they have the better score; ``comparisons`` in the provenance has the numbers and names the lost ones.
+    which they have the better score, of those where the two differ; ``comparisons`` in the provenance has the numbers
+    and names the lost ones.
 
     Args:
         stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
@@ -181,10 +182,9 @@ class Captures(Protocol):
         groups = {kind: _mean([row.scores for row in rows if row.style == kind]) for kind in kinds}
         found = compared({name: record.get("styles", {}) for name, record in records.items()}, self.better)
         groups |= {title: {name: one["won"] / one["cells"] for name, one in of.items()} for title, of in found.items()}
-        for row in rows:
-            scene = groups.setdefault(f"{SCENE}{row.scene}", {})
-            scene |= {f"{row.style}_{score}": value for score, value in row.scores.items()}
         for name, record in records.items():
+            scores = record["scores"]
+            groups[f"{SCENE}{name}"] = numbers(scores["fit"] | scores.get("stylized", {}))
             for kind, styles in record.get("styles", {}).items():
                 rows += [Row(name, f"{kind}, {style}", numbers(scores)) for style, scores in styles.items()]
         return Evaluation(
@@ -393,8 +393,8 @@ def compared(
         better: ``higher`` or ``lower`` for each score.
 
     Returns:
-        By ``FIRST over SECOND`` and score, the number of ``cells`` that have both scores, how many the first has
-        ``won``, and the names of those that it has ``lost`` or where the two are equal.
+        By ``FIRST over SECOND`` and score, the number of ``cells`` in which the two scores differ, how many the first
+        has ``won``, and the names of those that it has ``lost``.
     """
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for (first, second), (score, way) in product(COMPARED, better.items()):
@@ -403,8 +403,8 @@ def compared(
             for name, kinds in captures.items()
             for style, scores in kinds.get(second, {}).items()
         }
-        known = {cell: pair for cell, pair in cells.items() if not any(map(isnan, pair))}
-        lost = [cell for cell, (one, other) in known.items() if not (one < other if way == "lower" else one > other)]
+        known = {cell: pair for cell, pair in cells.items() if not any(map(isnan, pair)) and pair[0] != pair[1]}
+        lost = [cell for cell, (one, other) in known.items() if (one > other) == (way == "lower")]
         if known:
             one = {"cells": len(known), "won": len(known) - len(lost), "lost": lost}
             found.setdefault(f"{first} over {second}", {})[score] = one

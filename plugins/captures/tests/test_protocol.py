@@ -38,13 +38,15 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
     assert not any(map(isnan, wall.values())) and wall["control_photographs"] != wall["photographs"]
     row = {row.style: row.scores for row in evaluation.rows}["view_by_view, example:wave"]
     assert row["consistency"] == wall["view_by_view"]
-    assert evaluation.groups["photographs over stylized"]["consistency"] == 1
+    over = evaluation.groups["photographs over stylized"]
+    assert over["consistency"] == 1 and "consistency_coverage" not in over  # all kinds have the same
     monkeypatch.undo()  # of one capture the backbone failed, and it does not of the next
     write_wall(tmp_path / "second")
     protocol.captures = [tmp_path / "nothing", *protocol.captures, tmp_path / "second"]
     protocol.captures[0].mkdir()
     others = Captures.run(protocol, tmp_path / "out", no_progress)
     assert others.provenance["scenes"] == ["wall", "second"]
+    assert others.groups["scene wall"] == pytest.approx(evaluation.scores)
     assert "nothing is left out: there are no images in the folder" in others.provenance["warnings"][0]
     single = others.groups["feedforward"]
     assert single.keys() == {"psnr", "matched_psnr", "ssim", protocol.lpips.name} and not isnan(single["psnr"])

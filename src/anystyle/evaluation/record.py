@@ -74,7 +74,10 @@ def read(folder: Path) -> Evaluation | None:
 
 
 def summary(evaluation: Evaluation) -> Table:
-    """The table of one evaluation: a row for each score, a column for all scenes and for each group."""
+    """The table of one evaluation: a row for each score, a column for all scenes and for each group.
+
+    Groups that outnumber the scores are the rows. Scores of stand-in networks have a mark.
+    """
     provenance, groups = evaluation.provenance, evaluation.groups
     title = provenance.get("title", "")
     columns = {_lacking(title or ("all" if groups else "value"), evaluation.missing(title)): evaluation.scores}
@@ -84,18 +87,19 @@ def summary(evaluation: Evaluation) -> Table:
     if any(name.startswith(SCENE) for name in groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
     if evaluation.stand_ins:
-        why = "come from networks that replace the published ones, and cannot be compared with published scores"
-        notes.append(f"{STAND_IN.capitalize()}: these scores {why}.")
+        networks = ", ".join(dict.fromkeys(evaluation.stand_ins.values()))
+        notes.append(f"† {STAND_IN}: by {networks} in place of a published network; no published score compares.")
     notes += [f"Warning: {text}" for text in provenance.get("warnings", [])]
     caption = ", ".join(filter(None, (provenance.get("protocol", "evaluation"), provenance.get("variant"))))
     names = list(dict.fromkeys(name for scores in columns.values() for name in scores))
-    noted = bool(evaluation.stand_ins.keys() & set(names))
-    rows: list[tuple[str, ...]] = []
+    wide = len(columns) > len(names)
+    grid = [("" if wide else "score", *columns)]
     for name in names:
-        note = [f"{STAND_IN} ({network})" if (network := evaluation.stand_ins.get(name)) else ""] if noted else []
+        mark = " †" if name in evaluation.stand_ins else ""
         cells = (number(scores.get(name)) for scores in columns.values())
-        rows.append((titled(name, evaluation.better), *cells, *note))
-    return Table(("score", *columns, *(["note"] if noted else [])), tuple(rows), caption, tuple(notes))
+        grid.append((f"{titled(name, evaluation.better)}{mark}", *cells))
+    head, *rows = zip(*grid, strict=True) if wide else grid
+    return Table(head, tuple(rows), caption, tuple(notes))
 
 
 def _lacking(title: str, missing: int) -> str:
