@@ -51,10 +51,10 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "draft": Preset(256, 20_000, FitOptions(num_steps=400, final_steps=100, scale_weight=0.001)),
-    "good": Preset(384, 40_000, FitOptions(num_steps=800, final_steps=200, scale_weight=0.001)),
-    "best": Preset(768, 120_000, FitOptions(num_steps=1800, final_steps=400, scale_weight=0.001)),
-    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=3600, final_steps=800, scale_weight=0.001)),
+    "draft": Preset(256, 20_000, FitOptions(num_steps=300, final_steps=50, scale_weight=0.001)),
+    "good": Preset(384, 40_000, FitOptions(num_steps=600, final_steps=100, scale_weight=0.001)),
+    "best": Preset(768, 120_000, FitOptions(num_steps=1350, final_steps=200, scale_weight=0.001)),
+    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=2700, final_steps=400, scale_weight=0.001)),
 }
 """Photographs are not enlarged, so that ``full`` is their own size."""
 STEREO_SIDE = 256
@@ -69,7 +69,7 @@ MAX_UNEXPLAINED = 0.01
 MAX_UNEXPLAINED_OF_ONE, FAR_MORE = 0.05, 5
 """The same fraction of single photographs, and its ratio to the median: a photograph of an object that had been turned
 over has 0.07, one of nothing but leaves 0.09, and others have at most 0.035."""
-WARMTH, COARSE = 0.5, 0.3
+COARSE, RATE = 0.3, 0.5
 """Of a fit that begins with a given scene: see :class:`FitOptions`."""
 
 Refine = Literal["none", "poses", "lenses"]
@@ -219,7 +219,7 @@ def _give_back() -> None:
 def warm(options: FitOptions, *, half: bool) -> FitOptions:
     """Options of a fit that begins with a given scene; ``half``: in half of the steps."""
     steps, final = (math.ceil(number / (2 if half else 1)) for number in (options.num_steps, options.final_steps))
-    return replace(options, num_steps=steps, final_steps=final, warmth=WARMTH, half_resolution=COARSE)
+    return replace(options, num_steps=steps, final_steps=final, half_resolution=COARSE, rate=RATE)
 
 
 def unlike_most(unexplained: Float[Tensor, " V"], usual: float) -> list[int]:
@@ -281,21 +281,20 @@ def fit_photographs(
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
         initial = partial(_initial, images, points, masks, num_gaussians, options.seed)
-        rest = {"heldout": hidden, "initial": None if start else initial, "masks": masks}
 
         def begin(cameras: Cameras, first: InitialScene, options: FitOptions) -> FitLoop:
-            return FitLoop(images, cameras, first, renderer, options, **rest)
+            return FitLoop(images, cameras, first, renderer, options, heldout=hidden, masks=masks)
 
         written = None if state is None else _written(state, key, images.device)
         posed = cameras if written is None else replace(cameras, **written["given"])
         if start is not None and options.refine == "none":
             first = InitialScene(start)
         else:  # depths that agree tell whether cameras are better refined
-            first = initial(posed, training, training)
+            first = initial(posed, training)
             first = first if start is None else first._replace(gaussians=start)
         given = posed, first, options
         if options.refine != "none" and written is None:
-            given = try_refinement(*given, begin, lambda found: initial(found, training, training))
+            given = try_refinement(*given, begin, lambda found: initial(found, training))
         loop = begin(*given)
         if state is None:
             return loop.run(on_progress).as_dict()
@@ -348,9 +347,8 @@ def _initial(
     seed: int,
     cameras: Cameras,
     seen: Sequence[int],
-    lifted: Sequence[int],
 ) -> InitialScene:
-    """Gaussians at pixels of the views ``lifted``, by stereo of the views ``seen``, on the device of the images."""
+    """Gaussians at pixels of the views ``seen``, by their stereo, on the device of the images."""
     height, width = images.shape[-2:]
     ratio = max(1.0, min(height, width) / STEREO_SIDE)
     size = (round(height / ratio), round(width / ratio))
@@ -368,14 +366,9 @@ def _initial(
     share = BEHIND + IN_SKY * float(stereo.depth.isposinf().double().mean())
     behind = backdrop(chosen, posed, stereo, num_gaussians=math.ceil(share * num_gaussians), generator=generator)
     initial = InitialGaussians.cat([surfaces, behind])
-    view, row, column = initial.pixels.unbind(1)
-    rows, columns = (row + 0.5) * height / size[0], (column + 0.5) * width / size[1]
-    pixels = torch.stack([torch.tensor(seen)[view], rows.long(), columns.long()], dim=1)
-    initial = replace(initial, pixels=pixels, footprints=initial.footprints * size[1] / width)
-    keep = torch.isin(pixels[:, 0], torch.tensor(lifted))
-    gaussians: InitialGaussians = initial.map(lambda tensor: tensor[keep])
+    initial = replace(initial, footprints=initial.footprints * size[1] / width)
     confirmed = float((stereo.support > 0).double().mean())
-    return InitialScene(gaussians.to(images.device), FreeSpace.of(stereo, posed).to(images.device), confirmed)
+    return InitialScene(initial.to(images.device), FreeSpace.of(stereo, posed).to(images.device), confirmed)
 
 
 @torch.no_grad()

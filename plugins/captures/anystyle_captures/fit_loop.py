@@ -18,7 +18,7 @@ from anystyle.errors import UserError
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress, no_progress
 from anystyle_captures.free_space import FreeSpace
-from anystyle_captures.initial import InitialGaussians
+from anystyle_captures.initial import InitialGaussians, lift
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
 from anystyle_captures.poses import LEFT, MAX_RATE, REACH, RefinedCameras
@@ -26,14 +26,18 @@ from anystyle_captures.start import GivenGaussians
 
 logger = logging.getLogger(__name__)
 RATES = {
-    "offsets": (0.07, 0.05),  # of centres, in footprints of a pixel
-    "scales": (0.04, 0.2),  # of log scales
-    "rotations": (0.005, 0.3),  # of quaternions
-    "opacities": (0.05, 0.2),  # of logits
-    "colors": (0.02, 0.3),  # of constant harmonics
-    "harmonics": (0.001, 0.3),  # of the others
+    "offsets": 0.06,  # of centres, in footprints of a pixel
+    "scales": 0.06,  # of log scales
+    "rotations": 0.0075,  # of quaternions
+    "opacities": 0.075,  # of logits
+    "colors": 0.03,  # of constant harmonics
+    "harmonics": 0.0015,  # of the others
 }
-"""The learning rate at the start, and the fraction of it that is left at the end."""
+"""The learning rates. They do not fall: the scene is the mean of the last steps instead."""
+AVERAGED = 0.2
+"""The fraction of the steps, and again of the final ones, that the mean is over (Polyak and Juditsky 1992)."""
+VISITS = 4
+"""How often a pass of the final steps sees each view that was held out; the others once."""
 DSSIM = 0.2
 """Weight of 1 - SSIM beside L1, as in 3D Gaussian splatting."""
 MIN_OPACITY, MAX_FOOTPRINTS, NEAREST = 0.02, 60.0, 0.03
@@ -64,9 +68,9 @@ class FitOptions:
     num_steps: int = 1000  # of one view each
     half_resolution: float = 0.6  # fraction of the steps that is taken at half the resolution
     dropout: float = 0.1  # fraction of the Gaussians that a step leaves out, as DropGaussian (Park et al. 2025)
-    warmth: float = 0.0  # fraction of the fall of rates that a given start is beyond
+    rate: float = 1.0  # factor on the learning rates of Gaussians and exposures
     degree: int = 0  # of the spherical harmonics
-    exposure_lr: float = 0.002  # falls to a tenth; 0 disables exposure
+    exposure_lr: float = 0.003  # falls to a tenth; 0 disables exposure
     scale_weight: float = 0.0  # of the mean scale in footprints: only small Gaussians leave room for a style's strokes
     refine: Literal["none", "poses", "lenses"] = "none"  # cameras; lenses: poses, too
     evaluate_every: int = 200
@@ -154,10 +158,6 @@ class Exposures:
         self.values[self.training] -= self.values[self.training].mean(0)
 
 
-Initial = Callable[[Cameras, Sequence[int], Sequence[int]], InitialScene]
-"""Gaussians at pixels of some views, the second, by stereo of others, the first, with the cameras of all views."""
-
-
 class FitLoop:
     """A fit, one view per step, which can be interrupted and resumed between any two steps."""
 
@@ -170,10 +170,9 @@ class FitLoop:
         options: FitOptions,
         *,
         heldout: tuple[int, ...] = (),
-        initial: Initial | None = None,
         masks: Masks | None = None,
     ) -> None:
-        self.initial, self.masks = initial, masks
+        self.masks = masks
         # Photographs of which masks leave nothing teach nothing.
         self.useful = [view for view in range(len(images)) if masks is None or bool(masks.measured[view].any())]
         self.training = [view for view in self.useful if view not in heldout]
@@ -181,10 +180,9 @@ class FitLoop:
         self.step = 0
         self.quality: Quality | None = None
         self.aligned_psnr: float | None = None
-        # Views that are left of a pass; the PSNR of the last pass.
-        self.order, self.recent = list[int](), list[Tensor]()
+        self.order, self.sums = list[int](), dict[str, Tensor]()  # views that are left of a pass; of parameters
         self.images, self.given, self.renderer, self.options = images, cameras, renderer, options
-        self.heldout = heldout
+        self.heldout = [view for view in heldout if view in self.useful]
         self.half_size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images = interpolate(images, size=self.half_size, mode="area")
         self.half_masks = None if masks is None else masks.resized(self.half_size)
@@ -192,7 +190,7 @@ class FitLoop:
         depth = float((start.gaussians.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.nearest, refine = NEAREST * depth, options.refine
         self.refined = None if refine == "none" else RefinedCameras(cameras, depth, lenses=refine == "lenses")
-        self.splats = _parameters(start.gaussians.gaussians(options.degree), start.gaussians.footprints)
+        self.splats = self._parameters(start.gaussians.gaussians(options.degree), start.gaussians.footprints)
         self._carve()
         self.background = background(renderer, self.gaussians(), cameras)
         self.exposures = Exposures(cameras, self.training)
@@ -212,55 +210,62 @@ class FitLoop:
         """The current Gaussians, a batch of one scene."""
         return self.splats.gaussians()
 
-    def advance(self) -> Float[Tensor, ""]:
-        """Take one step, on one view, and return the PSNR before it, which a card has not computed yet."""
+    def _parameters(self, gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
+        rates = {name: self.options.rate * rate for name, rate in RATES.items()}
+        return GaussianParameters(gaussians, rates, footprints)
+
+    def advance(self) -> None:
+        """Take one step, on one view."""
         options = self.options
-        fraction = self.step / options.num_steps
-        fraction = options.warmth + (1 - options.warmth) * fraction
-        if fraction >= 1:  # rates rise again for the views that were held out
-            fraction = (1 + (self.step - options.num_steps) / options.final_steps) / 2
-        self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
+        final = self.step >= options.num_steps
+        done, stage = (self.step - options.num_steps, options.final_steps) if final else (self.step, options.num_steps)
+        fraction = (1 + done / stage) / 2 if final else done / stage
         if not self.order:
-            order = torch.randperm(len(self.training), generator=self.generator).tolist()
-            self.order = [self.training[i] for i in order]
+            views = self.training + (VISITS - 1) * (self.heldout if final else [])
+            self.order = [views[i] for i in torch.randperm(len(views), generator=self.generator).tolist()]
         view = self.order.pop()
         coarse = self.step < options.half_resolution * options.num_steps
         images, masks = (self.half_images, self.half_masks) if coarse else (self.images, self.masks)
         refined = self.refined if self.step >= REFINE_FROM * options.num_steps else None
         cameras = self.cameras.select([view]) if refined is None else refined.cameras([view])
         cameras = cameras.resized((images.shape[-2], images.shape[-1]))
-        target = images[view, None]
-        gaussians = self.gaussians()
+        target, gaussians = images[view, None], self.gaussians()
         kept = torch.rand(len(self.splats), generator=self.generator).to(images) >= options.dropout
         opacities = (gaussians.opacities * kept / (1 - options.dropout)).clamp_max(MAX_OPACITY)
         renders = self.renderer(replace(gaussians, opacities=opacities), cameras)
         # Over random colours, so that no Gaussian lets the background through where there is something.
         transmittance = 1 - renders.alpha[0, :, None]
         color = renders.color[0] - transmittance * self.background
-        color = self.exposures.apply(color, view, 1.0 if masks is None else 1 - transmittance)
         random = torch.rand(3, generator=self.generator).to(color)[:, None, None]
-        color = color + transmittance * random
-        measured = torch.ones_like(target[:, 0], dtype=torch.bool)
+        color = self.exposures.apply(color, view, 1.0 if masks is None else 1 - transmittance) + transmittance * random
         if masks is not None:
             # Over the same colours, so that transparency is asked for where nothing is there.
             target = target + (1 - masks.alpha[view]) * (random - 1)
             color = torch.where(masks.valid[view], color, target)
-            measured = masks.measured[view, None]
         photometric_loss(color, target, dssim=DSSIM).backward()
         self._shrink()
         self.splats.step()
-        if options.exposure_lr:
-            self.exposure_optimizer.param_groups[0]["lr"] = options.exposure_lr * 0.1**fraction
-            self.exposure_optimizer.step()
-            self.exposure_optimizer.zero_grad(set_to_none=True)
-            self.exposures.center()
+        self.exposure_optimizer.param_groups[0]["lr"] = options.rate * options.exposure_lr * 0.1**fraction
+        self.exposure_optimizer.step()
+        self.exposure_optimizer.zero_grad(set_to_none=True)
+        self.exposures.center()
+        last = max(1, round(AVERAGED * stage))
+        if done >= stage - last:
+            self._average(last if done + 1 == stage else 0)
         if refined is not None:
             rate = min(MAX_RATE, REACH * len(self.training) / options.num_steps)
             refined.step(view, rate * LEFT**fraction, self.training)
         self.step += 1
-        if self.step % PRUNE_EVERY == 0 and fraction < 0.8:
+        if self.step % PRUNE_EVERY == 0 and done < stage - last:
             self._prune()
-        return psnr(color.detach(), target, measured)[0]
+
+    @torch.no_grad()
+    def _average(self, number: int) -> None:
+        """Sum parameters up; after a ``number`` of steps, which 0 is not, they become their mean."""
+        for name, value in self.splats.parameters.items():
+            self.sums[name] = self.sums.get(name, 0) + value.detach()
+            if number:
+                value.copy_(self.sums.pop(name) / number)
 
     @torch.no_grad()
     def _shrink(self) -> None:
@@ -279,9 +284,7 @@ class FitLoop:
         scales, opacities = (self.splats.parameters[name] for name in ("scales", "opacities"))
         distance = torch.cdist(self.gaussians().means[0], self.cameras.world_from_camera[0, :, :3, 3]).amin(1)
         keep = (opacities.sigmoid() >= MIN_OPACITY) & (scales.amax(1).exp() <= MAX_FOOTPRINTS * self.splats.units)
-        index = (keep & (distance >= self.nearest)).nonzero()[:, 0]
-        if len(index) < len(keep):
-            self.splats.select(index)
+        self.splats.select((keep & (distance >= self.nearest)).nonzero()[:, 0])
         self._clear()
         self._carve()
 
@@ -321,7 +324,7 @@ class FitLoop:
         """Take all steps; the final ones are on all views."""
         started, first = time.monotonic(), self.step
         while self.step < self.last_step:
-            self.recent = [*self.recent[1 - len(self.training) :], self.advance()]
+            self.advance()
             # Held-out views are included after the last step without them.
             if self.step % self.options.evaluate_every and self.step not in (self.last_step, self.options.num_steps):
                 continue
@@ -329,28 +332,23 @@ class FitLoop:
                 self.quality = self.heldout_quality()
             if self.step == self.options.num_steps and self.refined is not None:
                 self._align_heldout(self.refined)
-            if self.step == self.options.num_steps and self.options.final_steps:
+            if self.step == self.options.num_steps < self.last_step:
                 self._include_heldout()
             pace = (time.monotonic() - started) / (self.step - first)
-            psnr, which = (self.quality.psnr, " on views held out") if self.quality else (self.mean, "")
-            left = f"{pace * (self.last_step - self.step):.0f} s left"
-            line = f"step {self.step} of {self.last_step}: {psnr:.1f} dB{which}, {left}"
+            shown, which = self.quality or self._quality(self.training[:1]), " on views held out" * bool(self.quality)
+            left = pace * (self.last_step - self.step)
+            line = f"step {self.step} of {self.last_step}: {shown.psnr:.1f} dB{which}, {left:.0f} s left"
             on_progress(Progress(line, self.step / self.last_step))
             on_checkpoint()
         self._carve()
         gains, biases = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach().split(3, 1)
-        unlike = torch.full_like(gains[:, 0], math.nan)
+        unlike, fitted = torch.full((2, len(gains)), math.nan).to(gains)
         for view in self.training:
-            unlike[view] = unexplained(self.render(view), self.images[view, None], self._measured([view]))[0]
-        cameras, quality = self.cameras, (self.quality, self.aligned_psnr)
-        posed = cameras.world_from_camera[0], cameras.intrinsics[0]
-        scene = self.gaussians().detach(), 1 + gains, biases
-        return FitResult(*scene, self.step, self.mean, unlike, quality[0], *posed, quality[1])
-
-    @property
-    def mean(self) -> float:
-        """The mean PSNR of the last pass over the views."""
-        return sum(map(float, self.recent)) / max(len(self.recent), 1)
+            given = self.render(view), self.images[view, None], self._measured([view])
+            unlike[view], fitted[view] = unexplained(*given)[0], psnr(*given)[0]
+        posed = self.cameras.world_from_camera[0], self.cameras.intrinsics[0]
+        scene = self.gaussians().detach(), 1 + gains, biases, self.step, float(fitted.nanmean()), unlike
+        return FitResult(*scene, self.quality, *posed, self.aligned_psnr)
 
     @property
     def last_step(self) -> int:
@@ -359,26 +357,37 @@ class FitLoop:
 
     def _align_heldout(self, refined: RefinedCameras) -> None:
         """Refine the cameras of views held out, against the scene as it is."""
-        views = [view for view in self.heldout if view in self.useful]
         coarse, fine = (self.half_images, self.half_masks), (self.images, self.masks)
         side = min(self.half_size)
-        for view in views:
+        for view in self.heldout:
             for (images, masks), window in ((coarse, max(side // 8, 1)), (coarse, max(side // 16, 1)), (fine, 1)):
                 measured = None if masks is None else masks.measured[view, None]
                 refined.align(view, partial(self.render, view), images[view, None], measured, window)
         quality = self.heldout_quality()
         self.aligned_psnr = quality and quality.psnr
 
+    @torch.no_grad()
     def _include_heldout(self) -> None:
-        """From now on steps see all views; those held out begin with the exposure of neighbouring views."""
-        with torch.no_grad():
-            for view in self.heldout:
-                self.exposures.values[view] = self.exposures.of(view)
-        if self.initial is not None:
-            added, self.free_space, _ = self.initial(self.cameras, range(len(self.images)), self.heldout)
-            together = Gaussians.cat([self.gaussians().detach(), added.gaussians(self.options.degree)], dim=1)
-            self.splats = _parameters(together, torch.cat([self.splats.units, added.footprints]))
-            self._clear()
+        """From now on steps see all views; those held out begin with the exposure of neighbouring views.
+
+        Where they differ from the scene, their pixels are lifted to its depth, as many as other views have Gaussians.
+        """
+        number, added = max(1, len(self.splats) // len(self.training)), list[InitialGaussians]()
+        for view in self.heldout:
+            self.exposures.values[view] = self.exposures.of(view)
+            renders = self.renderer(self.gaussians(), self.cameras.select([view]))
+            depth = (renders.depth / renders.alpha.clamp_min(1e-6))[0].cpu()
+            error = ((self.render(view) - self.images[view, None]).abs().mean(1) * self._measured([view])).cpu()
+            # As many, drawn in proportion to the error (Efraimidis and Spirakis 2006).
+            drawn = error / torch.empty_like(error).exponential_(generator=self.generator)
+            chosen = drawn.flatten().topk(min(number, error.numel())).indices
+            pixels = torch.stack(torch.unravel_index(chosen, error.shape), dim=1)
+            given = self.images[view, None].cpu(), self.cameras.select([view]).to("cpu")
+            added.append(lift(*given, depth[pixels.unbind(1)], pixels))
+        new = InitialGaussians.cat(added).to(self.images.device)
+        together = Gaussians.cat([self.gaussians().detach(), new.gaussians(self.options.degree)], dim=1)
+        self.splats = self._parameters(together, torch.cat([self.splats.units, new.footprints]))
+        self._clear()
         self.training = self.useful
         self._carve()
         self.exposures.train(self.training)
@@ -386,14 +395,15 @@ class FitLoop:
 
     def heldout_quality(self) -> Quality | None:
         """How well the views held out are rendered, if there are any."""
-        views = [view for view in self.heldout if view in self.useful]
-        if not views:
-            return None
+        return self._quality(self.heldout) if self.heldout else None
+
+    def _quality(self, views: list[int]) -> Quality:
         renders = torch.cat([self.render(view) for view in views])
         return quality_of(renders, self.images[views], self._measured(views))
 
-    def _measured(self, views: list[int]) -> Bool[Tensor, "M H W"] | None:
-        return None if self.masks is None else self.masks.select(views).measured
+    def _measured(self, views: list[int]) -> Bool[Tensor, "M H W"]:
+        everywhere = torch.ones_like(self.images[views, 0], dtype=torch.bool)
+        return everywhere if self.masks is None else self.masks.select(views).measured
 
     @torch.no_grad()
     def render(self, view: int, camera: Cameras | None = None) -> Float[Tensor, "1 3 H W"]:
@@ -411,7 +421,7 @@ class FitLoop:
             "step": self.step,
             "training": self.training,
             "order": self.order,
-            "recent": self.recent,
+            "sums": self.sums,
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.values.detach(),
             "exposure_optimizer": self.exposure_optimizer.state_dict(),
@@ -426,7 +436,8 @@ class FitLoop:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.generator.set_state(state["generator"])
         self.training = list(state["training"])
-        self.step, self.order, self.recent = state["step"], list(state["order"]), list(state["recent"])
+        self.step, self.order = state["step"], list(state["order"])
+        self.sums = dict(state["sums"])
         self.splats.load_state_dict(state["splats"])
         with torch.no_grad():
             self.exposures.values.copy_(state["exposures"])
@@ -449,7 +460,3 @@ def background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Fl
     """The colour that a renderer shows where there is nothing."""
     nothing = replace(gaussians, opacities=torch.zeros_like(gaussians.opacities)).map(lambda tensor: tensor[:, :1])
     return renderer(nothing, cameras.select([0])).color[0, 0].mean((1, 2))[:, None, None]
-
-
-def _parameters(gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
-    return GaussianParameters(gaussians, {name: rate for name, (rate, _) in RATES.items()}, footprints)

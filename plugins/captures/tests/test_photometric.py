@@ -22,8 +22,9 @@ def plain_blur(planes):
 
 
 def plain_loss(first, second, dssim):
-    """The loss of the published 3D Gaussian splatting, differentiated by PyTorch."""
-    a, b, aa, bb, ab = (plain_blur(x.flatten(0, 1)) for x in (first, second, first**2, second**2, first * second))
+    """The loss of 3D Gaussian splatting, SSIM of grey values, differentiated by PyTorch."""
+    gray, other = first.mean(1), second.mean(1)
+    a, b, aa, bb, ab = (plain_blur(x) for x in (gray, other, gray**2, other**2, gray * other))
     top = (2 * a * b + 0.01**2) * (2 * (ab - a * b) + 0.03**2)
     similarity = top / ((a**2 + b**2 + 0.01**2) * (aa - a**2 + bb - b**2 + 0.03**2))
     return (1 - dssim) * (first - second).abs().mean() + dssim * (1 - similarity.mean())

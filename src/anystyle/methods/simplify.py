@@ -51,9 +51,8 @@ class _Parts(NamedTuple):
         i, j = i[i != j], j[i != j]
         areas, colors = self.areas(), CONSTANT * self.harmonics[:, 0]
         apart = (self.means[i] - self.means[j]).square().sum(1) / areas[i].maximum(areas[j])
-        error = 1 / (1 / self.pixels[i] + 1 / self.pixels[j])
-        error *= (colors[i] - colors[j]).square().sum(1) + DISTANCE * apart
-        order = error.argsort(stable=True)
+        unlike = (colors[i] - colors[j]).square().sum(1) + DISTANCE * apart
+        order = (unlike / (1 / self.pixels[i] + 1 / self.pixels[j])).argsort(stable=True)
         i, j, group = i[order], j[order], torch.arange(len(near))
         while fewer and len(i):
             rank = torch.arange(len(i))
@@ -68,10 +67,9 @@ class _Parts(NamedTuple):
 
     def merged(self, group: Int[Tensor, " N"]) -> "_Parts":
         """Each group as one: its mean, covariance and colour in the pixels that it covers, as opaque over its area."""
-        number = int(group.max()) + 1
 
         def total(values: Tensor) -> Tensor:
-            return values.new_zeros(number, *values.shape[1:]).index_add_(0, group, values)
+            return values.new_zeros(int(group.max()) + 1, *values.shape[1:]).index_add_(0, group, values)
 
         pixels = total(self.pixels)
         share = self.pixels / pixels[group]
@@ -103,8 +101,7 @@ def simplified(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, numbe
     while (count := len(parts.means)) > number:
         parts = parts.merged(parts.groups(min(count - number, max(1, int(MOST * count)))))
     variances, axes = torch.linalg.eigh(parts.covariances)
-    axes = axes * torch.linalg.det(axes)[:, None, None]
-    scales = variances.clamp_min(1e-16).sqrt()
+    axes, scales = axes * torch.linalg.det(axes)[:, None, None], variances.clamp_min(1e-16).sqrt()
     found = (parts.means, wxyz_from_matrix(axes), scales, parts.opacities, parts.harmonics)
     merged = Gaussians(*(tensor[None].to(gaussians.means) for tensor in found)).marked(gaussians.antialiased)
     return refine(merged, cameras, targets, torch.ones_like(targets[:, :1]), renderer, steps=STEPS)

@@ -46,15 +46,14 @@ class GsplatRenderer(Rasterizer):
             image, made = self._scene(*at_least_single(gaussians, camera), 0)
         if not made:
             return None
-        means, *shapes = (made[name] for name in ("means2d", "conics", "opacities"))
-        places = [made[name] for name in ("width", "height", "tile_size", "isect_offsets", "flatten_ids")]
+        names = ("means2d", "conics", "opacities", "width", "height", "tile_size", "isect_offsets", "flatten_ids")
+        means, conics, opacities, *places = kept = [made[name] for name in names]
 
         def blend(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
-            return (
-                _gsplat().rasterize_to_pixels(means, shapes[0], colors[None], shapes[1], *places)[0][0].movedim(-1, 0)
-            )
+            return _gsplat().rasterize_to_pixels(means, conics, colors[None], opacities, *places)[0][0].movedim(-1, 0)
 
-        return KeptView(image[0], self.background, blend, gaussians.means.shape[1], [means, *shapes, *places[3:]])
+        kept = [each for each in kept if isinstance(each, Tensor)]
+        return KeptView(image[0], self.background, blend, gaussians.means.shape[1], kept)
 
     def _scene(
         self, gaussians: Gaussians, cameras: Cameras, scene: int

@@ -161,10 +161,9 @@ class Geometry(Value):
         """
         if self.pointmap is not None:
             return self.pointmap
-        height, width = self.depth.shape[-2:]
         intrinsics, pose = self.cameras.intrinsics, self.cameras.world_from_camera
-        v = torch.arange(height, device=self.depth.device, dtype=self.depth.dtype) + pixel_center
-        u = torch.arange(width, device=self.depth.device, dtype=self.depth.dtype) + pixel_center
+        like = {"device": self.depth.device, "dtype": self.depth.dtype}
+        v, u = (torch.arange(side, **like) + pixel_center for side in self.depth.shape[-2:])
         x = (u - intrinsics[..., 0, 2, None]) / intrinsics[..., 0, 0, None]  # B V W
         y = (v - intrinsics[..., 1, 2, None]) / intrinsics[..., 1, 1, None]  # B V H
         # Axis by axis, for a matrix product would be rounded under autocast.
