@@ -59,7 +59,7 @@ def test_a_pass_of_the_published_depth_is_few_kernels() -> None:
     scene = stylizer.encode(photographs)
     with Kernels() as further:
         stylizer.restyle(scene, style)
-    assert single.count <= 1_535 and further.count <= 131
+    assert single.count <= 1_553 and further.count <= 139
 
 
 @torch.no_grad()

@@ -29,9 +29,9 @@ def matrix_from_wxyz(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*
                 [ 0., -1.,  0.],
                 [ 0.,  0., -1.]])
     """
-    unit = F.normalize(quaternions, dim=-1)
-    outer = (2 * unit)[..., :, None] * unit[..., None, :]  # ... 4 4
-    (_, wx, wy, wz), (_, xx, xy, xz), (_, _, yy, yz), (_, _, _, zz) = (row.unbind(-1) for row in outer.unbind(-2))
+    w, x, y, z = F.normalize(quaternions, dim=-1).unbind(-1)
+    i, j, k = 2 * x, 2 * y, 2 * z
+    xx, yy, zz, xy, xz, yz, wx, wy, wz = i * x, j * y, k * z, i * y, i * z, j * z, i * w, j * w, k * w
     entries = [1 - (yy + zz), xy - wz, xz + wy, xy + wz, 1 - (xx + zz), yz - wx, xz - wy, yz + wx, 1 - (xx + yy)]
     return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
 

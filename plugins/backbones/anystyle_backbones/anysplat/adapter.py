@@ -50,9 +50,8 @@ class Adapter(contracts.Adapter):
     def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
         """Fuse the attributes with the weights decided before, and activate them."""
         parts = [attributes.opacity[..., None], attributes.scale, attributes.rotation, attributes.color.flatten(4)]
-        raw = torch.cat(parts, dim=-1).flatten(1, 3).float()
-        raw = raw if clusters is None else fuse(raw, clusters)
-        opacity, scale, rotation, color = raw.split([part.shape[-1] for part in parts], dim=-1)
+        raw = [part.flatten(1, 3).float() for part in parts]
+        opacity, scale, rotation, color = raw if clusters is None else [fuse(part, clusters) for part in raw]
         color = color.unflatten(-1, (3, -1))
         opacities = opacity[..., 0].sigmoid()
         rotations = wxyz_from_xyzw(rotation / (rotation.norm(dim=-1, keepdim=True) + 1e-8))
