@@ -10,6 +10,7 @@ from anystyle.io.cache import LRUCache
 from anystyle.methods.colors import NEIGHBORS, covering_views, fit_colors, kept_render
 from anystyle.testing.oracle import hashed
 from anystyle_cpu_renderer.renderer import CpuRenderer
+from tests.support.kernels import Kernels
 from tests.support.scenes import cameras, gaussians
 
 RENDERER = CpuRenderer(background=(0.2, 0.5, 0.8))
@@ -163,6 +164,18 @@ def test_gradients_stand_for_mixtures_and_serve_every_style():
     moved = replace(scene, means=scene.means + 0.1)
     other = fit_colors(moved, views, pictures[1], renderer, **how)
     assert torch.equal(other.harmonics, fit_colors(moved, views, pictures[1], fresh, **how).harmonics)
+
+
+def test_a_further_style_reads_the_cameras_back_once(monkeypatch):
+    """And whether anything is shown; on a card each such read waits, and there are views times steps of products."""
+    scene, views = small_scene()
+    renderer, pictures = CpuRenderer(), torch.rand(2, 4, 3, 24, 32)
+    fit_colors(scene, views, pictures[0], renderer, largest=True)
+    reads, cpu = [], torch.Tensor.cpu
+    monkeypatch.setattr(torch.Tensor, "cpu", lambda tensor: reads.append(tensor.shape) or cpu(tensor))
+    with Kernels() as kernels:
+        fit_colors(scene, views, pictures[1], renderer, largest=True)
+    assert reads == [(4, 4, 4), (4, 3, 3)] and kernels.waits == 1
 
 
 def test_few_views_cover_a_scene():

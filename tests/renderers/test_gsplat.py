@@ -12,6 +12,8 @@ from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import project
 from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer, blend
+from anystyle.testing import renderer as contract
+from anystyle.testing.subject import Subject
 from tests.support.scenes import cameras, gaussians
 
 
@@ -34,7 +36,19 @@ def rasterization(**given: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
         x, y = torch.arange(width) + 0.5, torch.arange(height) + 0.5
         images.append(blend(splats.means, splats.conics, splats.opacities, payload, x, y, 0.999))
     image = torch.stack(images).movedim(1, -1)
-    return image[..., :4], 1 - image[..., 4:], {}
+    shown = {name: torch.zeros(1, *size).index_copy(1, splats.index, getattr(splats, name)[None]) for name, size in
+             (("means", (len(means), 2)), ("conics", (len(means), 3)), ("opacities", (len(means),)))}  # fmt: skip
+    made = {"means2d": shown["means"], **shown, "width": width, "height": height, "tile_size": 16}
+    return image[..., :4], 1 - image[..., 4:], made | {"isect_offsets": torch.zeros(1), "flatten_ids": splats.index}
+
+
+def rasterize_to_pixels(means2d, conics, colors, opacities, width, height, tile_size, isect_offsets, flatten_ids):
+    """gsplat's function for one view: the Gaussians of all tiles are ``flatten_ids``, nearest first."""
+    assert isect_offsets.shape == (1,) and tile_size == 16
+    means2d, conics, opacities, colors = (each[0, flatten_ids] for each in (means2d, conics, opacities, colors))
+    x, y = torch.arange(width) + 0.5, torch.arange(height) + 0.5
+    image = blend(means2d, conics, opacities, torch.nn.functional.pad(colors, (0, 1)), x, y, 0.999)
+    return image[None, :3].movedim(1, -1), 1 - image[None, 4:].movedim(1, -1)
 
 
 @pytest.mark.parametrize(("degree", "antialiased"), [(0, False), (4, False), (1, True)])
@@ -44,6 +58,16 @@ def test_asks_for_the_same_picture(monkeypatch: pytest.MonkeyPatch, degree: int,
     options = {"near": 2.5, "far": 3.6, "eps2d": 0.5}
     expected = TorchRenderer(**options).accumulate(scene, views)
     torch.testing.assert_close(GsplatRenderer(**options).accumulate(scene, views), expected, rtol=1e-4, atol=2e-5)
+
+
+def test_its_linear_views_are_as_promised(monkeypatch: pytest.MonkeyPatch) -> None:
+    gsplat = SimpleNamespace(rasterization=rasterization, rasterize_to_pixels=rasterize_to_pixels)
+    monkeypatch.setitem(sys.modules, "gsplat", gsplat)
+    monkeypatch.setattr(GsplatRenderer, "devices", ())
+    contract.test_a_linear_view_is_linear_and_shows_the_scene(
+        Subject("renderer", GsplatRenderer, {"background": (0.2, 0.5, 0.8)})
+    )
+    assert GsplatRenderer().linear_view(gaussians(1, 0), cameras(1, 1, (4, 4))) is None
 
 
 def test_asks_for_nothing_of_an_empty_scene(monkeypatch: pytest.MonkeyPatch) -> None:

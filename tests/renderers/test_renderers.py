@@ -368,3 +368,19 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert int(result.stdout) * 1024 < 2e9
+
+
+def test_linear_views_of_a_card_are_those_of_the_processor() -> None:
+    """Warp blends again what it projected once; shares of the processor's kernels have 16 bits."""
+    pytest.importorskip("warp")
+    scene, view = gaussians(1, 300, 2), cameras(1, 1, (45, 60))
+    one, other = (made(background=(0.2, 0.5, 0.8)).linear_view(scene, view) for made in (CpuRenderer, warp.values[0]))
+    colors, pixels = torch.randn(300, 3), torch.randn(3, 45, 60)
+    assert_same(other.render, one.render)
+    pairs = {"background": 1e-4, "image": 1e-3, "sums": 2e-3}
+    found = ((each.background, each(colors), each.transposed(pixels)) for each in (one, other))
+    for (name, atol), expected, actual in zip(pairs.items(), *found, strict=True):
+        torch.testing.assert_close(
+            actual, expected, rtol=1e-3, atol=atol, msg=lambda told, name=name: f"{name}: {told}"
+        )
+    assert not other(colors).requires_grad

@@ -5,8 +5,9 @@ As on a graphics card, numbers alone (tensors without dimensions) may come from 
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from torch import Tensor
@@ -15,6 +16,7 @@ from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from anystyle.nn.tokens import constant
+from anystyle_backbones.blocks import grid_rotary
 from anystyle_backbones.dpt import scaled_waves
 
 DEVICE = torch.device("meta")
@@ -77,17 +79,18 @@ class _Operations(TorchDispatchMode):
 @contextmanager
 def elsewhere() -> Iterator[torch.device]:
     """Within it, tensors are made on that device where it is asked for."""
-    with nothing_kept(), _Literals(), _Operations():
+    with nothing_kept(), patch("anystyle.nn.tokens.no_dispatch", nullcontext), _Literals(), _Operations():
         yield DEVICE
 
 
 @contextmanager
 def nothing_kept() -> Iterator[None]:
     """Tensors that are kept a device are not those of before, nor do they stay: several devices read ``meta``."""
-    for kept in (constant, scaled_waves):
+    caches = constant, grid_rotary, scaled_waves
+    for kept in caches:
         kept.cache_clear()
     yield
-    for kept in (constant, scaled_waves):
+    for kept in caches:
         kept.cache_clear()
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NotRequired, TypedDict, Unpack
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
+from anystyle.nn.tokens import real
 
 
 def by_views(
@@ -58,7 +59,7 @@ def scaled_waves(
     size: tuple[int, int], aspect: float, channels: int, device: torch.device, dtype: torch.dtype
 ) -> tuple[Float[Tensor, "C 1 w"], Float[Tensor, "C h 1"]]:
     """A tenth of the waves of x and of y, kept: they depend on sizes alone, and take more kernels than a layer."""
-    with torch.inference_mode(False):  # a later training reads them, too
+    with real():
         columns, rows = (0.1 * uv_waves(line, channels).to(device, dtype) for line in uv_grid(size, aspect))
         return columns[:, None, :], rows[:, :, None]
 
@@ -117,17 +118,6 @@ class FusionChain(nn.ModuleList):
         return self[0](x, maps[0], (2 * height, 2 * width))
 
 
-class DptTrunkOptions(TypedDict):
-    """Options of a :class:`DptTrunk` that decoders built on it pass on."""
-
-    dim: int | Sequence[int]
-    channels: Sequence[int]
-    normed: NotRequired[bool]
-    rectified: NotRequired[bool]
-    waves: NotRequired[bool]
-    cropped: NotRequired[bool]
-
-
 class DptTrunk(nn.Module):
     """Decodes four levels of patch tokens into a map at eight times the grid of patches.
 
@@ -154,10 +144,8 @@ class DptTrunk(nn.Module):
     ) -> None:
         super().__init__()
         if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
-            raise UserError(
-                f"a decoder of {features} features and levels of {list(channels)} channels; features must be a "
-                "multiple of 8, and the four levels multiples of 4"
-            )
+            given = f"a decoder of {features} features and levels of {list(channels)} channels"
+            raise UserError(f"{given}; features must be a multiple of 8, and the four levels multiples of 4")
         dims = [dim] * 4 if isinstance(dim, int) else dim
         self.dim, self.waves = dims[-1], waves
         fine, medium, _, coarse = channels
@@ -202,7 +190,7 @@ class Dpt(DptTrunk):
         options: Those of :class:`DptTrunk`.
     """
 
-    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[DptTrunkOptions]) -> None:
+    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Any) -> None:
         super().__init__(features=features, **options)
         self.width = features // 2
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)

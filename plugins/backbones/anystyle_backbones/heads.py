@@ -133,13 +133,16 @@ def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, dept
     """Refuse options of a backbone that contradict each other; heads read layers ``first`` to ``depth - 1``."""
     if dim % (4 * heads):
         raise UserError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
-    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < first or taps[-1] != depth - 1:
-        raise UserError(
-            f"taps are {list(taps)}; give four layers from {first} on in rising order, of which the last is "
-            f"depth - 1 = {depth - 1}"
-        )
+    check_taps("taps", taps, first, depth)
     if 2 * dim % camera_heads:
         raise UserError(f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels")
+
+
+def check_taps(name: str, taps: Sequence[int], first: int, depth: int) -> None:
+    """Refuse what are not four layers from ``first`` to ``depth - 1``, this one the last."""
+    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < first or taps[-1] != depth - 1:
+        wanted = f"four layers from {first} on in rising order, of which the last is depth - 1 = {depth - 1}"
+        raise UserError(f"{name} are {list(taps)}; give {wanted}")
 
 
 def positions(stored: Float[Tensor, "1 L C"], grid: tuple[int, int], **resampling: Any) -> Float[Tensor, "1 M C"]:
@@ -169,9 +172,10 @@ def centred_cameras(
     """
     height, width = size
     focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
-    last = constant((0.0, 0.0, 0.0, 1.0), origin.device, origin.dtype).expand(*origin.shape[:-1], 1, 4)
+    kept = constant((0.0, 0.0, 0.0, 1.0, width / 2, height / 2), origin.device, origin.dtype)
+    last, (zero, *_, one, middle, centre) = kept[:4], (each.expand(focal_x.shape) for each in kept)
     # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
-    pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
-    zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
-    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
+    pose = torch.cat([rotation, origin[..., None]], dim=-1)
+    pose = torch.cat([pose, last.expand(*origin.shape[:-1], 1, 4)], dim=-2)
+    entries = [focal_x, zero, middle, zero, focal_y, centre, zero, zero, one]
     return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)

@@ -12,17 +12,9 @@ from torch import Tensor, nn
 
 from anystyle_backbones.dpt import Dpt
 
-SMALL_NETWORK: dict[str, object] = {
-    "resolution": 56,
-    "native_resolution": 56,
-    "dim": 32,
-    "heads": 2,
-    "depth_features": 16,
-    "depth_channels": (8, 8, 8, 8),
-    "gaussian_channels": (8, 8, 8, 8),
-    "sh_degree": 1,
-    "init": "scratch",
-}
+_SIZES: dict[str, object] = {"resolution": 56, "native_resolution": 56, "dim": 32, "heads": 2, "sh_degree": 1}
+_DECODERS = {"depth_features": 16, "depth_channels": (8, 8, 8, 8), "gaussian_channels": (8, 8, 8, 8)}
+SMALL_NETWORK = {**_SIZES, **_DECODERS, "init": "scratch"}
 """Options that the backbones' examples share."""
 FIELD_OF_VIEW = math.radians(55)
 OPACITY = 0.9

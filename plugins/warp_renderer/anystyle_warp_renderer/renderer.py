@@ -7,11 +7,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from torch.nn.functional import pad
 
 from anystyle.contracts import LinearView
 from anystyle.errors import MissingExtra
 from anystyle.geometry.projection import ProjectedGaussians
-from anystyle.renderers.rasterizer import at_least_single, composite
+from anystyle.renderers.rasterizer import KeptView, at_least_single
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from anystyle_warp_renderer.tiles import TileLists, imported
@@ -52,7 +53,14 @@ class WarpRenderer(TorchRenderer):
         with torch.autocast(gaussians.means.device.type, enabled=False):
             splats, payload = self.project_view(*at_least_single(gaussians, camera), 0, 0)
             tiles = TileLists.of(splats, camera.size, self.alpha_cap)
-        return _Linear(splats, payload.float(), tiles, gaussians.means.shape[1], self.background)
+        shapes = _shapes(splats)
+
+        def blend(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+            return _Blending.apply(shapes, pad(colors.index_select(0, splats.index), (0, 1)), tiles)[:3]
+
+        image, number = _Blending.apply(shapes, payload.float(), tiles), gaussians.means.shape[1]
+        kept = shapes, splats.index, tiles.entries, tiles.starts, payload
+        return KeptView(image, self.background, blend, number, kept)
 
 
 class _Blending(torch.autograd.Function):
@@ -69,36 +77,6 @@ class _Blending(torch.autograd.Function):
         ctx: Any, *grad_outputs: Tensor
     ) -> tuple[Tensor, Tensor, None]:
         return *ctx.tiles.backward(*ctx.saved_tensors, grad_outputs[0]), None
-
-
-class _Linear(LinearView):
-    """The Gaussians of one view, projected and listed by tile, which are blended again for other colours."""
-
-    def __init__(
-        self,
-        splats: ProjectedGaussians,
-        payload: Float[Tensor, "n 4"],
-        tiles: TileLists,
-        number: int,
-        background: tuple[float, float, float],
-    ) -> None:
-        self._shapes, self._index, self._tiles, self._number = _shapes(splats), splats.index, tiles, number
-        self._image, self._last = tiles.blend(self._shapes, payload)
-        self.render = composite(self._image[None, None], background)
-        self.background = self._image[4] * self._image.new_tensor(background)[:, None, None]
-        kept = (self._shapes, self._index, tiles.entries, tiles.starts, self._image, self._last)
-        self.nbytes = sum(tensor.nbytes for tensor in kept)
-
-    def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
-        shown = torch.nn.functional.pad(colors.detach().float()[self._index], (0, 1))
-        return self._tiles.blend(self._shapes, shown)[0][:3]
-
-    def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
-        given = torch.zeros_like(self._image)
-        given[:3] = pixels.detach()
-        payload = given.new_zeros(len(self._index), 4)
-        _, shares = self._tiles.backward(self._shapes, payload, self._image, self._last, given)
-        return given.new_zeros(self._number, 3).index_copy_(0, self._index, shares[:, :3])
 
 
 def _shapes(splats: ProjectedGaussians) -> Float[Tensor, "n 6"]:

@@ -29,12 +29,10 @@ def matrix_from_wxyz(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*
                 [ 0., -1.,  0.],
                 [ 0.,  0., -1.]])
     """
-    w, x, y, z = F.normalize(quaternions, dim=-1).unbind(-1)
-    entries = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
+    unit = F.normalize(quaternions, dim=-1)
+    outer = (2 * unit)[..., :, None] * unit[..., None, :]  # ... 4 4
+    (_, wx, wy, wz), (_, xx, xy, xz), (_, _, yy, yz), (_, _, _, zz) = (row.unbind(-1) for row in outer.unbind(-2))
+    entries = [1 - (yy + zz), xy - wz, xz + wy, xy + wz, 1 - (xx + zz), yz - wx, xz - wy, yz + wx, 1 - (xx + yy)]
     return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
 
 

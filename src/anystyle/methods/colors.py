@@ -151,7 +151,7 @@ def kept_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Fl
     ``None`` where it is not, and where colours depend on the direction.
     """
     try:
-        made = _VIEWS[_views_key(gaussians, camera, renderer)][2][_bytes(camera)]
+        made = _VIEWS[_views_key(gaussians, camera, renderer)][2][_bytes(camera)[0]]
     except KeyError:
         return None
     if isinstance(made, _Differentiated) or gaussians.harmonics.shape[2] > 1:
@@ -253,11 +253,10 @@ class _System:
 
     def linear(self, view: int) -> LinearView:
         """``A`` of one view."""
-        kept, camera = self._kept, self.cameras.select([view])
-        key = _bytes(camera)
+        kept, key = self._kept, self._keys[view]
         if key in kept:
             return kept[key]
-        given = self.gaussians, camera
+        given = self.gaussians, self.cameras.select([view])
         made = self.renderer.linear_view(*given) or _Differentiated(*given, self.renderer)
         if sum(each.nbytes for each in kept.values()) + made.nbytes <= KEPT:
             kept[key] = made
@@ -265,9 +264,13 @@ class _System:
 
     def forget_others(self, views: list[int]) -> None:
         """Make room in memory where linear views of some views, which will be needed, have none."""
-        needed = {_bytes(self.cameras.select([view])) for view in views}
+        needed = {self._keys[view] for view in views}
         for key in self._kept.keys() - needed if not needed <= self._kept.keys() else ():
             del self._kept[key]
+
+    @cached_property
+    def _keys(self) -> list[bytes]:
+        return _bytes(self.cameras)
 
     @property
     def _kept(self) -> dict[bytes, LinearView]:
@@ -326,7 +329,7 @@ def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _Syst
 def _identity(system: _System) -> tuple[object, ...]:
     gaussians, cameras = system.gaussians, system.cameras
     places = _places(*vars(gaussians).values())
-    return (type(gaussians), *places, _bytes(cameras), cameras.size, id(system.renderer))
+    return (type(gaussians), *places, *system._keys, cameras.size, id(system.renderer))
 
 
 def _views_key(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> tuple[object, ...]:
@@ -340,8 +343,9 @@ def _places(*tensors: Tensor) -> tuple[object, ...]:
     return tuple((tensor.data_ptr(), tensor.shape, tensor._version) for tensor in tensors)
 
 
-def _bytes(cameras: Cameras) -> bytes:
-    return b"".join(tensor.cpu().numpy().tobytes() for tensor in (cameras.world_from_camera, cameras.intrinsics))
+def _bytes(cameras: Cameras) -> list[bytes]:
+    poses, lenses = (tensor[0].cpu().numpy() for tensor in (cameras.world_from_camera, cameras.intrinsics))
+    return [pose.tobytes() + lens.tobytes() for pose, lens in zip(poses, lenses, strict=True)]
 
 
 def colors_alone(views: Views) -> Scene:

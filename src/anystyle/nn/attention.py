@@ -6,13 +6,15 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.utils.checkpoint import checkpoint
 
 from anystyle.nn.tokens import Rotary, rotate
 
 
 class Attention(nn.Module):
-    """Multi-head self-attention; with ``qk_norm`` queries and keys are normalised per head, ahead of the rotation."""
+    """Multi-head self-attention; with ``qk_norm`` queries and keys are normalised per head, ahead of the rotation.
+
+    Their gain and bias must be in the angles then, as :class:`~anystyle.nn.tokens.Rotary` says.
+    """
 
     def __init__(self, dim: int, heads: int, *, qk_norm: bool) -> None:
         super().__init__()
@@ -23,11 +25,13 @@ class Attention(nn.Module):
         self.proj = nn.Linear(dim, dim)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
-        q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).unbind(2)  # each M L heads E
-        # Normalised in this order, so that what attention gives needs no copy to be joined.
-        q, k, v = (part.transpose(1, 2) for part in (self.q_norm(q), self.k_norm(k), v))  # each M heads L E
-        if angles is not None:
-            q, k = rotate(q, angles), rotate(k, angles)
+        qkv = self.qkv(x).unflatten(-1, (3, self.heads, -1))  # M L 3 heads E
+        qk, v = qkv[:, :, :2], qkv[:, :, 2].transpose(1, 2)
+        if isinstance(self.q_norm, nn.LayerNorm):
+            assert angles is not None and angles.shift is not None
+            qk = F.layer_norm(qk, qk.shape[-1:], eps=self.q_norm.eps)
+        qk = qk.permute(0, 2, 3, 1, 4)  # M 2 heads L E
+        q, k = (qk if angles is None else rotate(qk, angles)).unbind(1)
         # Under autocast the norms leave queries and keys in another precision than values.
         mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
         return self.proj(mixed.transpose(1, 2).flatten(2))
@@ -106,65 +110,3 @@ class Block(nn.Module):
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
         x = self.ls1(x, self.attn(self.norm1(x), angles))
         return self.ls2(x, self.mlp(self.norm2(x)))
-
-
-class MemoryAttention(nn.Module):
-    """Multi-head attention of queries to a memory, both turned by their positions."""
-
-    def __init__(self, dim: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.projq, self.projk, self.projv, self.proj = (nn.Linear(dim, dim) for _ in range(4))
-
-    def forward(
-        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
-    ) -> Float[Tensor, "M L C"]:
-        pairs = ((self.projq, x), (self.projk, memory), (self.projv, memory))
-        q, k, v = (project(y).unflatten(-1, (self.heads, -1)).transpose(1, 2) for project, y in pairs)
-        q, k = rotate(q, angles), rotate(k, memory_angles)
-        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
-        return self.proj(mixed.transpose(1, 2).flatten(2))
-
-
-class DecoderBlock(nn.Module):
-    """A pre-norm block with cross-attention to a memory after its self-attention.
-
-    Args:
-        dim: Channels.
-        heads: Attention heads.
-        mlp_ratio: Width of the feed-forward layer, in ``dim``.
-        eps: Epsilon of the layer norms.
-    """
-
-    def __init__(self, dim: int, heads: int, *, mlp_ratio: float, eps: float = 1e-5) -> None:
-        super().__init__()
-        self.norm1, self.norm2, self.norm3, self.norm_y = (nn.LayerNorm(dim, eps=eps) for _ in range(4))
-        self.attn = Attention(dim, heads, qk_norm=False)
-        self.cross_attn = MemoryAttention(dim, heads)
-        self.mlp = Mlp(dim, int(dim * mlp_ratio), dim)
-
-    def forward(
-        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
-    ) -> Float[Tensor, "M L C"]:
-        """Tokens after the block; a memory of no tokens adds nothing."""
-        x = x + self.attn(self.norm1(x), angles)
-        if memory.shape[1]:
-            x = x + self.cross_attn(self.norm2(x), self.norm_y(memory), angles, memory_angles)
-        return x + self.mlp(self.norm3(x))
-
-
-def start_as_dino(module: nn.Module) -> None:
-    """Initialise the linear layers of blocks as DINOv2 does."""
-    for layer in module.modules():
-        if isinstance(layer, nn.Linear):
-            nn.init.trunc_normal_(layer.weight, std=0.02)
-            nn.init.zeros_(layer.bias)
-
-
-def run(
-    block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary | None = None, *, recompute: bool
-) -> Float[Tensor, "M L C"]:
-    """A block's tokens; with ``recompute`` activations are recomputed in the backward pass (gradient checkpointing)."""
-    if recompute and torch.is_grad_enabled():
-        return checkpoint(block, x, angles, use_reentrant=False)
-    return block(x, angles)

@@ -1,11 +1,14 @@
 """What transformers read of images: normalised pixels, grids of patches, and their rotary position embedding."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.utils._mode_utils import no_dispatch
 
 from anystyle.errors import UserError
 
@@ -16,8 +19,15 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 @lru_cache(maxsize=256)
 def constant(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Float[Tensor, " n"]:
     """Numbers as a tensor, made once: a copy to a card waits for the card."""
-    with torch.inference_mode(False):  # a later training reads it, too
+    with real():
         return torch.tensor(values, device=device, dtype=dtype)
+
+
+@contextmanager
+def real() -> Iterator[None]:
+    """Tensors that are kept have values, also where memory is estimated without, and a later training reads them."""
+    with no_dispatch(), torch.inference_mode(False):
+        yield
 
 
 def normalised(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 H W"]:
@@ -38,14 +48,14 @@ def grid_of(images: Float[Tensor, "*batch 3 H W"], patch_size: int) -> tuple[int
 
 
 class Rotary(NamedTuple):
-    """Angles of a sequence of tokens: cosines, and sines with the sign of the pair's first entry folded in."""
+    """Angles of a grid's tokens: cosines, and sines with the sign of the pair's first entry folded in.
 
-    cos: Float[Tensor, "L E"]
-    sin: Float[Tensor, "L E"]
+    The gain of a norm may be in both, and what becomes of its bias is then what is added.
+    """
 
-    def repeat(self, times: int) -> "Rotary":
-        """The angles of a sequence of ``times`` grids, one after the other."""
-        return Rotary(self.cos.repeat(times, 1), self.sin.repeat(times, 1))
+    cos: Float[Tensor, "*heads L E"]
+    sin: Float[Tensor, "*heads L E"]
+    shift: Float[Tensor, "*heads L E"] | None = None
 
 
 def grid_positions(grid: tuple[int, int], special: int = 1, device: torch.device | None = None) -> Float[Tensor, "L 2"]:
@@ -70,7 +80,14 @@ def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Floa
     )
 
 
-def rotate(x: Float[Tensor, "*batch L E"], angles: Rotary) -> Float[Tensor, "*batch L E"]:
-    """Turn each pair of channels by its token's angle."""
-    swapped = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
-    return torch.addcmul(x * angles.cos.to(x.dtype), swapped, angles.sin.to(x.dtype))
+def rotate(x: Float[Tensor, "*batch S E"], angles: Rotary) -> Float[Tensor, "*batch S E"]:
+    """Turn each pair of channels by its token's angle; the tokens may be of several grids, one after the other."""
+    grids = x.unflatten(-2, (-1, angles.cos.shape[-2]))
+    cos, sin = angles.cos.to(x.dtype), angles.sin.to(x.dtype)
+    start = grids * cos if angles.shift is None else torch.addcmul(angles.shift.to(x.dtype), grids, cos)
+    return torch.addcmul(start, swapped(grids), sin).flatten(-3, -2)
+
+
+def swapped(x: Float[Tensor, "*batch E"]) -> Float[Tensor, "*batch E"]:
+    """Each channel's partner in its place."""
+    return x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)

@@ -59,7 +59,7 @@ def encoding(backbone: Backbone, size: tuple[int, int]) -> tuple[float, float] |
     ``None``, with a warning in the log, where the network cannot run on tensors without values.
     """
     parts = nn.ModuleList([backbone.embedder, backbone.aggregator, backbone.geometry_head, backbone.gaussian_head])
-    with torch.no_grad(), FakeTensorMode():
+    with torch.no_grad(), FakeTensorMode(allow_non_fake_inputs=True):
         memo: dict[int, object] = {id(item): torch.empty(item.shape, dtype=item.dtype) for item in parts.buffers()}
         for weight in parts.parameters():
             memo[id(weight)] = nn.Parameter(torch.empty(weight.shape, dtype=weight.dtype), requires_grad=False)

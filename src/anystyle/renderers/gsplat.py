@@ -1,16 +1,16 @@
 """The renderer for NVIDIA graphics cards: the gsplat package."""
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import LinearView
 from anystyle.errors import MissingExtra
 from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances
-from anystyle.renderers.rasterizer import Rasterizer, at_least_single
+from anystyle.renderers.rasterizer import KeptView, Rasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 
 
@@ -37,17 +37,35 @@ class GsplatRenderer(Rasterizer):
         with torch.autocast(gaussians.means.device.type, enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)
             # Scene by scene: later versions of gsplat take no batch of harmonics.
-            images = [self._scene(gaussians, cameras, b) for b in range(len(gaussians.means))]
+            images = [self._scene(gaussians, cameras, b)[0] for b in range(len(gaussians.means))]
             return torch.stack(images).to(gaussians.means.dtype)
 
-    def _scene(self, gaussians: Gaussians, cameras: Cameras, scene: int) -> Float[Tensor, "V 5 H W"]:
+    @torch.no_grad()
+    def linear_view(self, gaussians: Gaussians, camera: Cameras) -> LinearView | None:
+        with torch.autocast(gaussians.means.device.type, enabled=False):
+            image, made = self._scene(*at_least_single(gaussians, camera), 0)
+        if not made:
+            return None
+        names = ("means2d", "conics", "opacities", "width", "height", "tile_size", "isect_offsets", "flatten_ids")
+        means, conics, opacities, *places = kept = [made[name] for name in names]
+
+        def blend(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+            return _gsplat().rasterize_to_pixels(means, conics, colors[None], opacities, *places)[0][0].movedim(-1, 0)
+
+        kept = [each for each in kept if isinstance(each, Tensor)]
+        return KeptView(image[0], self.background, blend, gaussians.means.shape[1], kept)
+
+    def _scene(
+        self, gaussians: Gaussians, cameras: Cameras, scene: int
+    ) -> tuple[Float[Tensor, "V 5 H W"], dict[str, Any]]:
+        """What each view of a scene shows, and what gsplat has made of its Gaussians."""
         height, width = cameras.size
         means, rotations, scales, opacities, harmonics = (each[scene].float() for each in vars(gaussians).values())
         degree = degree_of(harmonics.shape[1])
         if len(means) == 0:
             nothing = means.new_tensor([0, 0, 0, 0, 1])[:, None, None]
-            return nothing.expand(cameras.intrinsics.shape[1], 5, height, width)
-        color, alpha, _ = _rasterization()(
+            return nothing.expand(cameras.intrinsics.shape[1], 5, height, width), {}
+        color, alpha, made = _gsplat().rasterization(
             means=means,
             quats=rotations,
             scales=scales,
@@ -68,12 +86,12 @@ class GsplatRenderer(Rasterizer):
             # Computed here, so that quaternions of norm 0 are treated as in the other renderers.
             covars=covariances(rotations, scales),
         )
-        return torch.cat([color, 1 - alpha], dim=-1).movedim(-1, 1)  # V 5 H W
+        return torch.cat([color, 1 - alpha], dim=-1).movedim(-1, 1), made
 
 
-def _rasterization() -> Callable[..., Any]:
+def _gsplat() -> Any:
     try:
-        from gsplat import rasterization  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
+        import gsplat  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise MissingExtra('the renderer "gsplat" needs gsplat: pip install "anystyle[gpu]"') from error
-    return rasterization
+    return gsplat

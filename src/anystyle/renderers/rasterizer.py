@@ -1,14 +1,14 @@
 """The base of renderers: options and checks that they share, and compositing over the background."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Renderer
+from anystyle.contracts import LinearView, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import degree_of
 from anystyle.ranges import NonNegative, Positive, Share
@@ -96,3 +96,36 @@ def composite(image: Float[Tensor, "B V 5 H W"], background: Sequence[float]) ->
     color, depth, transmittance = image[:, :, :3], image[:, :, 3], image[:, :, 4:]
     behind = image.new_tensor(list(background))[:, None, None]  # 3 1 1
     return Renders(color=(color + transmittance * behind).clamp(0, 1), depth=depth, alpha=1 - transmittance[:, :, 0])
+
+
+class KeptView(LinearView):
+    """The Gaussians of one view, projected and listed by tile once, which are blended again for other colours.
+
+    Args:
+        image: What the view shows: red, green, blue and depth over black, and the transmittance.
+        background: A colour in [0, 1].
+        blend: Colours of all Gaussians over black, differentiable once.
+        number: Of these Gaussians.
+        kept: What ``blend`` holds in memory.
+    """
+
+    def __init__(
+        self,
+        image: Float[Tensor, "5 H W"],
+        background: Sequence[float],
+        blend: Callable[[Float[Tensor, "N 3"]], Float[Tensor, "3 H W"]],
+        number: int,
+        kept: Sequence[Tensor],
+    ) -> None:
+        self.render = composite(image[None, None], background)
+        self.background = image[4] * image.new_tensor(list(background))[:, None, None]
+        self._blend, self._none = blend, image.new_zeros(number, 3).requires_grad_()
+        with torch.enable_grad():
+            self._black = blend(self._none)
+        self.nbytes = sum(tensor.nbytes for tensor in (*kept, self._none, self._black, image))
+
+    def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+        return self._blend(colors.detach().float())
+
+    def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
+        return torch.autograd.grad(self._black, self._none, pixels.detach().float(), retain_graph=True)[0]

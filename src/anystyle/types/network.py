@@ -161,23 +161,17 @@ class Geometry(Value):
         """
         if self.pointmap is not None:
             return self.pointmap
-        height, width = self.depth.shape[-2:]
         intrinsics, pose = self.cameras.intrinsics, self.cameras.world_from_camera
-        v = torch.arange(height, device=self.depth.device, dtype=self.depth.dtype) + pixel_center
-        u = torch.arange(width, device=self.depth.device, dtype=self.depth.dtype) + pixel_center
+        like = {"device": self.depth.device, "dtype": self.depth.dtype}
+        v, u = (torch.arange(side, **like) + pixel_center for side in self.depth.shape[-2:])
         x = (u - intrinsics[..., 0, 2, None]) / intrinsics[..., 0, 0, None]  # B V W
         y = (v - intrinsics[..., 1, 2, None]) / intrinsics[..., 1, 1, None]  # B V H
-        # Row by row of the rotation, for a matrix product would be rounded under autocast.
-        rotation, origin = pose[..., :3, :3, None, None], pose[..., :3, 3, None, None]
+        # Axis by axis, for a matrix product would be rounded under autocast.
+        right, down, forward, origin = pose[..., :3, :, None, None].unbind(3)  # each B V 3 1 1
         horizontal, vertical = x[..., None, :] * self.depth, y[..., :, None] * self.depth
-        world = [
-            rotation[:, :, row, 0] * horizontal
-            + rotation[:, :, row, 1] * vertical
-            + rotation[:, :, row, 2] * self.depth
-            + origin[:, :, row]
-            for row in range(3)
-        ]
-        return torch.stack(world, dim=-1)
+        world = torch.addcmul(right * horizontal[:, :, None], down, vertical[:, :, None])
+        world = torch.addcmul(world, forward, self.depth[:, :, None]) + origin  # B V 3 H W
+        return world.movedim(2, -1).contiguous()
 
     def seen_from(self, cameras: Cameras) -> "Geometry":
         """The same depth in other cameras of the images: each point stays at its pixel, and moves with its view."""

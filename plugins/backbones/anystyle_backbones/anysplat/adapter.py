@@ -49,12 +49,12 @@ class Adapter(contracts.Adapter):
 
     def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
         """Fuse the attributes with the weights decided before, and activate them."""
-        opacity = self._gather(attributes.opacity[..., None], clusters)[..., 0]
-        scale = self._gather(attributes.scale, clusters)
-        rotation = self._gather(attributes.rotation, clusters)
-        coefficients = attributes.color.shape[-1]
-        color = self._gather(attributes.color.flatten(4), clusters).unflatten(-1, (3, coefficients))
-        opacities = opacity.sigmoid()
+        parts = [attributes.opacity[..., None], attributes.scale, attributes.rotation, attributes.color.flatten(4)]
+        raw = torch.cat(parts, dim=-1).flatten(1, 3).float()
+        raw = raw if clusters is None else fuse(raw, clusters)
+        opacity, scale, rotation, color = raw.split([part.shape[-1] for part in parts], dim=-1)
+        color = color.unflatten(-1, (3, -1))
+        opacities = opacity[..., 0].sigmoid()
         rotations = wxyz_from_xyzw(rotation / (rotation.norm(dim=-1, keepdim=True) + 1e-8))
         if clusters is not None:
             opacities = opacities * clusters.valid
@@ -79,10 +79,6 @@ class Adapter(contracts.Adapter):
         with torch.autocast(geometry.depth.device.type, enabled=False):
             return geometry.points(self.pixel_center).flatten(1, 3)
 
-    def _gather(self, values: Float[Tensor, "B V H W C"], clusters: Clusters | None) -> Float[Tensor, "B N C"]:
-        flat = values.flatten(1, 3).float()
-        return flat if clusters is None else fuse(flat, clusters)
-
 
 def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B M"], voxel_size: float) -> Clusters:
     """Cluster world points by voxel, each weighted by the softmax of the confidences (logits) in its voxel.
@@ -91,7 +87,7 @@ def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B 
     weight is ``exp(c - max c) / (sum exp(c - max c) + 1e-6)`` over its voxel, and the voxel's mean the weighted sum.
     Differentiable in the points and confidences. Scenes are padded to one count; padding has mean 0 and no points.
     """
-    if not bool(points.isfinite().all()):
+    if not math.isfinite(points.detach().abs().amax()):
         raise ValueError("points to fuse are infinite or not a number; the predicted depth or cameras have diverged")
     cells = (points.detach() / voxel_size).round().long()
     index = torch.stack([lexicographic_ranks(scene) for scene in cells])
@@ -116,16 +112,11 @@ def fuse(values: Float[Tensor, "B M C"], clusters: Clusters) -> Float[Tensor, "B
 def lexicographic_ranks(cells: Int[Tensor, "M 3"]) -> Int[Tensor, " M"]:
     """The rank of each row among the distinct rows in lexicographic order."""
     lowest = cells.amin(dim=0)
-    spans = [int(span) for span in cells.amax(dim=0) - lowest + 1]
+    spans = (cells.amax(dim=0) - lowest + 1).tolist()
     if math.prod(spans) < 2**63:
         x, y, z = (cells - lowest).unbind(-1)
         return torch.unique((x * spans[1] + y) * spans[2] + z, return_inverse=True)[1]
-    # So wide a range has no room in one integer: join columns by their ranks, of which there are at most M.
-    ranks = torch.unique(cells[:, 0], return_inverse=True)[1]
-    for column in cells.T[1:]:
-        distinct, column_ranks = torch.unique(column, return_inverse=True)
-        ranks = torch.unique(ranks * len(distinct) + column_ranks, return_inverse=True)[1]
-    return ranks
+    return torch.unique(cells, dim=0, return_inverse=True)[1]  # slower, but so wide a range has no room in one integer
 
 
 def _softmax(logits: Float[Tensor, "B M"], index: Int[Tensor, "B M"], size: int) -> Float[Tensor, "B M"]:
@@ -138,4 +129,5 @@ def _softmax(logits: Float[Tensor, "B M"], index: Int[Tensor, "B M"], size: int)
 
 
 def _flat_index(index: Int[Tensor, "B M"], size: int) -> Int[Tensor, " BM"]:
-    return (index + size * torch.arange(len(index), device=index.device)[:, None]).flatten()
+    scenes = range(0, size * len(index), size)
+    return torch.cat([one + first for one, first in zip(index, scenes, strict=True)]) if len(index) > 1 else index[0]

@@ -13,9 +13,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.attention import Block, Mlp, run, start_as_dino
-from anystyle.nn.tokens import grid_of, grid_positions, normalised, rotary
+from anystyle.nn.attention import Block, Mlp
+from anystyle.nn.tokens import grid_of, normalised
 from anystyle.types import Attributes, Cameras, Features, Inject, Site, Tokens, untouched
+from anystyle_backbones.blocks import grid_rotary, run, start_as_dino, with_norms
 from anystyle_backbones.heads import CameraRegressor, DptGaussians, centred_cameras, positions, rotation_of
 from anystyle_backbones.reference_view import Strategy, is_reference, reference_view
 
@@ -132,16 +133,17 @@ class Aggregator(contracts.Aggregator):
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
         """Turn the stem into tapped features; no other layer's output is kept."""
         batch, views = stem.data.shape[:2]
-        places = grid_positions(stem.grid, stem.special, stem.data.device)
-        within = rotary(places, self.head_dim, base=self.rope_base, like=stem.data)
+        angles = grid_rotary(stem.grid, stem.special, self.head_dim, self.rope_base, stem.data.device, stem.data.dtype)
+        within, across = (with_norms(blocks, angles) for blocks in (self.frame_blocks, self.global_blocks))
         apply = partial(run, recompute=self.checkpointing and self.training)
-        across = within.repeat(views)
         features: dict[int, Tokens] = {}
         tokens = stem
         for layer, (frame_block, global_block) in enumerate(zip(self.frame_blocks, self.global_blocks, strict=True)):
             tokens = inject(f"aggregator/{layer}", tokens)
-            framed = apply(frame_block, tokens.data.flatten(0, 1), within).unflatten(0, (batch, views))  # B V P C
-            joint = apply(global_block, framed.flatten(1, 2), across)  # B VP C
+            framed = apply(frame_block, tokens.data.flatten(0, 1), within[layer]).unflatten(
+                0, (batch, views)
+            )  # B V P C
+            joint = apply(global_block, framed.flatten(1, 2), across[layer])  # B VP C
             tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
             if layer in self.taps:
                 features[layer] = tokens.with_data(torch.cat([framed, tokens.data], dim=-1))
@@ -171,13 +173,14 @@ class CameraHead(CameraRegressor):
         passes: list[Tensor] = []
         for _ in range(self.iterations):
             shift, scale, gate = self.modulation(F.silu(self.embed_pose(condition))).chunk(3, dim=-1)
-            x = gate * (plain * (1 + scale) + shift) + tokens
+            x = torch.addcmul(tokens, gate, torch.addcmul(shift, plain, 1 + scale))
             for block in self.trunk:
                 x = block(x)
             encoding = encoding + self.pose_branch(self.trunk_norm(x))
             condition = encoding.detach()
-            passes.append(torch.cat([encoding[..., :7], encoding[..., 7:].relu()], dim=-1))
-        return torch.stack(passes)
+            passes.append(encoding)
+        pose, view = torch.stack(passes).split((7, 2), dim=-1)
+        return torch.cat([pose, view.relu()], dim=-1)
 
     def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
         encoding = self(tokens)[-1].float()

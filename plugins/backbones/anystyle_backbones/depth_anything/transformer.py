@@ -10,9 +10,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.attention import Block, run, start_as_dino
+from anystyle.nn.attention import Block
 from anystyle.nn.tokens import grid_of, grid_positions, normalised, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
+from anystyle_backbones.blocks import run, start_as_dino, with_norms
 from anystyle_backbones.heads import positions
 from anystyle_backbones.reference_view import Strategy, is_reference, reference_view
 
@@ -114,20 +115,18 @@ class Aggregator(contracts.Aggregator):
         views = stem.data.shape[1]
         places = grid_positions(stem.grid, stem.special, stem.data.device)
         # Across views, as published: the leading token is at (0, 0), every patch at (1, 1).
-        within, across = (
-            rotary(each, self.head_dim, base=self.rope_base, like=stem.data) for each in (places, places.clamp_max(1))
-        )
-        across = across.repeat(views)
+        turned = partial(rotary, dim=self.head_dim, base=self.rope_base, like=stem.data)
+        angles = [with_norms(self.blocks.values(), turned(each)) for each in (places, places.clamp_max(1))]
         apply = partial(run, recompute=self.checkpointing and self.training)
         tokens, local = stem, stem.data
         features: dict[int, Tokens] = {}
-        for layer in self.layers:
+        for index, layer in enumerate(self.layers):
             tokens, block = inject(f"aggregator/{layer}", tokens), self.blocks[str(layer)]
             if layer % 2:
-                joint = apply(block, tokens.data.flatten(1, 2), across)  # B VP C
+                joint = apply(block, tokens.data.flatten(1, 2), angles[1][index])  # B VP C
                 tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
             else:
-                local = by_view(partial(apply, block, angles=within), tokens.data)
+                local = by_view(partial(apply, block, angles=angles[0][index]), tokens.data)
                 tokens = tokens.with_data(local)
             if layer in self.taps:
                 features[layer] = self._tapped(local, tokens)

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from functools import partial
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.attention import Block, DecoderBlock, start_as_dino
-from anystyle.nn.tokens import Rotary, constant, grid_of, grid_positions, rotary
+from anystyle.nn.attention import Attention, Block, Mlp
+from anystyle.nn.tokens import Rotary, constant, grid_of, grid_positions, rotary, rotate
 from anystyle.types import Cameras, Features, Inject, Site, Tokens, untouched
+from anystyle_backbones.blocks import start_as_dino
 
 _log = logging.getLogger(__name__)
 
@@ -128,6 +130,51 @@ class Decoder(nn.Module):
         return {layer: normed.get(layer) or outputs[layer] for layer in self.taps}
 
 
+class MemoryAttention(nn.Module):
+    """Multi-head attention of queries to a memory, both turned by their positions."""
+
+    def __init__(self, dim: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.projq, self.projk, self.projv, self.proj = (nn.Linear(dim, dim) for _ in range(4))
+
+    def forward(
+        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
+    ) -> Float[Tensor, "M L C"]:
+        pairs = ((self.projq, x), (self.projk, memory), (self.projv, memory))
+        q, k, v = (project(y).unflatten(-1, (self.heads, -1)).transpose(1, 2) for project, y in pairs)
+        q, k = rotate(q, angles), rotate(k, memory_angles)
+        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
+        return self.proj(mixed.transpose(1, 2).flatten(2))
+
+
+class DecoderBlock(nn.Module):
+    """A pre-norm block with cross-attention to a memory after its self-attention.
+
+    Args:
+        dim: Channels.
+        heads: Attention heads.
+        mlp_ratio: Width of the feed-forward layer, in ``dim``.
+        eps: Epsilon of the layer norms.
+    """
+
+    def __init__(self, dim: int, heads: int, *, mlp_ratio: float, eps: float = 1e-5) -> None:
+        super().__init__()
+        self.norm1, self.norm2, self.norm3, self.norm_y = (nn.LayerNorm(dim, eps=eps) for _ in range(4))
+        self.attn = Attention(dim, heads, qk_norm=False)
+        self.cross_attn = MemoryAttention(dim, heads)
+        self.mlp = Mlp(dim, int(dim * mlp_ratio), dim)
+
+    def forward(
+        self, x: Float[Tensor, "M L C"], memory: Float[Tensor, "M S C"], angles: Rotary, memory_angles: Rotary
+    ) -> Float[Tensor, "M L C"]:
+        """Tokens after the block; a memory of no tokens adds nothing."""
+        x = x + self.attn(self.norm1(x), angles)
+        if memory.shape[1]:
+            x = x + self.cross_attn(self.norm2(x), self.norm_y(memory), angles, memory_angles)
+        return x + self.mlp(self.norm3(x))
+
+
 class Aggregator(Decoder, contracts.Aggregator):
     """Blocks of the first view's own and others for all other views; each view attends to all others' tokens.
 
@@ -158,15 +205,14 @@ class Aggregator(Decoder, contracts.Aggregator):
         beside = torch.arange(views - 1, device=stem.data.device).expand(views, -1)  # V V-1
         beside = beside + torch.ones_like(beside).triu()  # all but the view itself
         angles = self.angles_of(stem)
-        memory_angles = angles.repeat(views - 1)
         tokens, outputs = stem.with_data(self.embed(stem.data)), {}
         for layer, (first, others) in enumerate(zip(self.first, self.others, strict=True), start=1):
             x = tokens.data
             memory = x[:, beside].flatten(2, 3)  # B V (V-1)P C
-            decoded = [first(x[:, 0], memory[:, 0], angles, memory_angles)[:, None]]
+            decoded = [first(x[:, 0], memory[:, 0], angles, angles)[:, None]]
             if views > 1:
                 rest = (part[:, 1:].flatten(0, 1) for part in (x, memory))
-                decoded.append(others(*rest, angles, memory_angles).unflatten(0, (batch, views - 1)))
+                decoded.append(others(*rest, angles, angles).unflatten(0, (batch, views - 1)))
             tokens = outputs[layer] = tokens.with_data(torch.cat(decoded, dim=1))
         return self.features(stem, outputs)
 
@@ -192,7 +238,7 @@ class TokenStylizer(Decoder):
         """Features of the encoder's tokens in a style: one view of tokens of any grid for each scene."""
         dtype = self.embed.weight.dtype
         given, memory = stem.with_data(stem.data.to(dtype)), style.with_data(self.embed(style.data.to(dtype)))
-        angles, memory_angles = self.angles_of(given).repeat(stem.data.shape[1]), self.angles_of(memory)
+        angles, memory_angles = self.angles_of(given), self.angles_of(memory)
         tokens, outputs = given.with_data(self.embed(given.data)), {}
         for layer, block in enumerate(self.blocks):
             tokens = inject(f"head/stylizer/{layer}", tokens)

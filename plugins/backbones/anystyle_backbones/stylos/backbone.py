@@ -8,11 +8,11 @@ from typing import ClassVar
 from torch import nn
 
 from anystyle.contracts import StylePredictor
-from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle_backbones.anysplat.backbone import AnySplat
 from anystyle_backbones.anysplat.networks import Aggregator
 from anystyle_backbones.dpt import Dpt
+from anystyle_backbones.heads import check_taps
 from anystyle_backbones.stylos.heads import GaussianHead, StylosBranch
 from anystyle_backbones.stylos.transformer import Order, StemAggregator, StyleAggregator
 
@@ -42,7 +42,6 @@ class Stylos(AnySplat):
             one; ``hybrid`` is a global block, then a frame block.
         style_depth: Layers of the style aggregator.
         style_taps: The four of them that colours are decoded from; the last is the last.
-        style_updates: Whether layers change the style's tokens; no configuration of the publishers' does.
         voxel_size: Side of a voxel, in world units.
         chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it affects only memory.
         checkpointing: Whether training recomputes blocks of the style aggregator to save memory.
@@ -77,16 +76,11 @@ class Stylos(AnySplat):
         style_order: Order = "global",
         style_depth: int = 12,
         style_taps: Sequence[int] = (2, 5, 8, 11),
-        style_updates: bool = False,
         voxel_size: Positive = 0.002,
         chunk: AtLeastOne = 4,
         checkpointing: bool = False,
     ) -> None:
-        if len(style_taps) != 4 or list(style_taps) != sorted({*style_taps}) or style_taps[-1] != style_depth - 1:
-            raise UserError(
-                f"style_taps are {list(style_taps)}; give four layers in rising order, the last of which is "
-                f"style_depth - 1 = {style_depth - 1}"
-            )
+        check_taps("style_taps", style_taps, 0, style_depth)
         super().__init__(
             resolution=resolution,
             native_resolution=native_resolution,
@@ -118,7 +112,6 @@ class Stylos(AnySplat):
             depth=style_depth,
             order=style_order,
             taps=style_taps,
-            updates_style=style_updates,
             checkpointing=checkpointing,
         )
         style_dpt = decoder(dim=2 * dim if style_order == "hybrid" else dim, outputs=4)

@@ -119,7 +119,6 @@ def options_of(names: Mapping[str, Tensor]) -> dict[str, object]:
         "style_depth": depth,
         "style_order": "hybrid" if len(kinds) > 1 else kinds[0],
         "style_taps": taps,
-        "style_updates": any(name.startswith(f"{STYLE}{kinds[0]}_blocks.0.attn2.") for name in names),
         "image_features": "gaussian_param_head.input_merger.0.weight" in names,
         "voxel_size": VOXEL_SIZE,
     }

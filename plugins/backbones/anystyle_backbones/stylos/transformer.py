@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import repeat
 from typing import Literal, NamedTuple
 
 import torch
@@ -14,6 +15,7 @@ from anystyle.nn.attention import Attention, LayerScale, Mlp
 from anystyle.nn.tokens import Rotary, grid_positions, rotary, rotate
 from anystyle.types import Features, Inject, Tokens, untouched
 from anystyle_backbones.anysplat.networks import Aggregator
+from anystyle_backbones.blocks import with_norms
 
 STEM = -1
 """The key of the stem among the features, ahead of all layers'."""
@@ -31,10 +33,10 @@ class StemAggregator(Aggregator):
 
 
 class Angles(NamedTuple):
-    """Rotary angles of one view's tokens, of all views', and of the style's."""
+    """Rotary angles of a view's tokens, with the norms of a block's own attention and without, and of the style's."""
 
+    own: Rotary
     view: Rotary
-    views: Rotary
     style: Rotary
 
 
@@ -54,7 +56,7 @@ class StyleAttention(nn.Module):
     ) -> Float[Tensor, "B L C"]:
         q = self.q_norm(self.q_proj(x).unflatten(-1, (self.heads, -1)).transpose(1, 2))  # B heads L E
         k, v = self.kv_proj(style).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each B heads S E
-        q, k = rotate(q, angles.views), rotate(self.k_norm(k), angles.style)
+        q, k = rotate(q, angles.view), rotate(self.k_norm(k), angles.style)
         # Under autocast the norms leave queries and keys in another precision than values.
         mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
         return self.proj(mixed.transpose(1, 2).flatten(2))
@@ -67,40 +69,32 @@ class CrossBlock(nn.Module):
         dim: Channels.
         heads: Attention heads.
         across: Whether views see one another.
-        updates_style: Whether the style attends to itself ahead of being seen, and is handed on so.
     """
 
-    def __init__(self, dim: int, heads: int, *, across: bool, updates_style: bool) -> None:
+    def __init__(self, dim: int, heads: int, *, across: bool) -> None:
         super().__init__()
-        self.across, self.updates_style = across, updates_style
+        self.across = across
         self.norm1, self.qnorm1, self.kvnorm1, self.norm2 = (nn.LayerNorm(dim) for _ in range(4))
         self.attn = Attention(dim, heads, qk_norm=True)
         self.cross_attn = StyleAttention(dim, heads)
         self.mlp = Mlp(dim, 4 * dim, dim)
         self.ls1, self.ls2, self.ls3 = (LayerScale(dim, 0.01) for _ in range(3))
-        if updates_style:
-            self.norm3, self.attn2 = nn.LayerNorm(dim), Attention(dim, heads, qk_norm=True)
-            self.ls4 = LayerScale(dim, 0.01)
 
     def forward(
         self, x: Float[Tensor, "B V P C"], style: Float[Tensor, "B S C"], angles: Angles
-    ) -> tuple[Float[Tensor, "B V P C"], Float[Tensor, "B S C"]]:
-        """The tokens of views and of the style behind this block."""
-        start, places = (1, angles.views) if self.across else (0, angles.view)
-        x = self.ls1(x, self.attn(self.norm1(x).flatten(start, start + 1), places).view_as(x))
-        if self.updates_style:
-            style = self.ls4(style, self.attn2(self.norm3(style), angles.style))
+    ) -> Float[Tensor, "B V P C"]:
+        start = int(self.across)
+        x = self.ls1(x, self.attn(self.norm1(x).flatten(start, start + 1), angles.own).view_as(x))
         # Each token attends for itself, so all views of a scene are one sequence.
         x = self.ls2(x, self.cross_attn(self.qnorm1(x).flatten(1, 2), self.kvnorm1(style), angles).view_as(x))
-        return self.ls3(x, self.mlp(self.norm2(x))), style
+        return self.ls3(x, self.mlp(self.norm2(x)))
 
 
 class StyleAggregator(nn.Module):
     """From the stem and the patches of a style image to the tokens that colours are decoded from.
 
-    The style has register tokens of its own and keeps its own grid; no layer changes it, unless blocks do
-    (``updates_style``). Where a layer has two blocks, their outputs lie side by
-    side, the later one's first.
+    The style has register tokens of its own and keeps its own grid; no layer changes it. Where a layer has two blocks,
+    their outputs lie side by side, the later one's first.
 
     Options are explained at :class:`~anystyle_backbones.stylos.Stylos`; ``registers`` are tokens of the style.
     """
@@ -113,7 +107,6 @@ class StyleAggregator(nn.Module):
         depth: int,
         order: Order,
         taps: Sequence[int],
-        updates_style: bool,
         checkpointing: bool,
         registers: int = 4,
     ) -> None:
@@ -123,7 +116,7 @@ class StyleAggregator(nn.Module):
         nn.init.normal_(self.register_token, std=1e-6)
 
         def block(kind: str) -> CrossBlock:
-            return CrossBlock(dim, heads, across=kind == "global", updates_style=updates_style)
+            return CrossBlock(dim, heads, across=kind == "global")
 
         self.layers = nn.ModuleList(nn.ModuleDict({kind: block(kind) for kind in KINDS[order]}) for _ in range(depth))
 
@@ -134,16 +127,16 @@ class StyleAggregator(nn.Module):
         turned = partial(rotary, dim=self.head_dim, base=100.0, like=stem.data)
         view = turned(grid_positions(stem.grid, stem.special, stem.data.device))
         of_style = turned(grid_positions(style.grid, registers.shape[1], stem.data.device))
-        angles = Angles(view, view.repeat(stem.data.shape[1]), of_style)
+        angles = map(Angles, with_norms(self.layers, view), repeat(view), repeat(of_style))
         tapped, tokens = [], stem
         for number, layer in enumerate(self.layers):
             tokens, outputs = inject(f"{SITES}/{number}", tokens), []
             assert isinstance(layer, nn.ModuleDict)
             for block in layer.values():
                 if self.checkpointing and self.training and torch.is_grad_enabled():
-                    data, styles = checkpoint(block, tokens.data, styles, angles, use_reentrant=False)
+                    data = checkpoint(block, tokens.data, styles, next(angles), use_reentrant=False)
                 else:
-                    data, styles = block(tokens.data, styles, angles)
+                    data = block(tokens.data, styles, next(angles))
                 tokens = tokens.with_data(data)
                 outputs.insert(0, data)
             if number in self.taps:

@@ -20,7 +20,7 @@ from anystyle_backbones.stylos.keys import StylosCheckpoints
 from tests.support import anysplat_reference, oracle, stylos_reference
 
 CHECKPOINTS = StylosCheckpoints()
-VARIANTS = ("global", "frame", "hybrid", "option_crossblock2")
+VARIANTS = ("global", "frame", "hybrid")
 CASES = [name for name in stylos_reference.record()["tiny"] if name.startswith("tiny_")]
 
 
@@ -84,7 +84,7 @@ def watched(branch: StylosBranch, scene: Scene, embedding: StyleEmbedding) -> di
         keep(block.qnorm1, "after_self_attention", lambda given, _: given[0]),
         keep(block.ls2, "cross_attention_update", lambda given, result: result - given[0]),
         keep(block.ls3, "mlp_update", lambda given, result: result - given[0]),
-        keep(block, "output", lambda _, result: result[0]),
+        keep(block, "output", lambda _, result: result),
     ]
     with torch.no_grad():
         levels = branch.aggregator(scene.stem, embedding.tokens)

@@ -15,7 +15,6 @@ CHECKPOINTS = keys.StylosCheckpoints()
 MASK = "aggregator.patch_embed.mask_token"
 CONFIGURED = {"dl3dv_geo": {}, "co3d_geo_frame_base": {"style_order": "frame"}} | {
     "co3d_geo_hybrid_base": {"style_order": "hybrid"},
-    "option_crossblock2": {"style_updates": True},
 }
 
 
@@ -129,13 +128,12 @@ def test_a_file_of_anysplat_is_refused(small: Stylos) -> None:
         CHECKPOINTS.config(state)
 
 
-@pytest.mark.parametrize("variant", ["global", "frame", "hybrid", "option_crossblock2", "demo"])
+@pytest.mark.parametrize("variant", ["global", "frame", "hybrid", "demo"])
 def test_a_file_says_which_network_it_is(variant: str, caplog: pytest.LogCaptureFixture) -> None:
     shapes = stylos_reference.tiny_shapes(variant)
     with caplog.at_level(logging.INFO):
         config = CHECKPOINTS.config(shapes)
     assert config["backbone.style_order"] == (variant if variant in ("frame", "hybrid") else "global")
-    assert config["backbone.style_updates"] == (variant == "option_crossblock2")
     assert config["backbone.image_features"] == (variant == "demo")
     assert config["branch.published"] is True and config["style_encoder"] == "stylos"
     assert "assumed: backbone.style_taps=[0, 1, 2, 4] backbone.voxel_size=0.002" in caplog.text
