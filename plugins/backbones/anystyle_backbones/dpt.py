@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import NotRequired, TypedDict, Unpack
 
 import torch
 import torch.nn.functional as F
@@ -118,6 +118,17 @@ class FusionChain(nn.ModuleList):
         return self[0](x, maps[0], (2 * height, 2 * width))
 
 
+class DptTrunkOptions(TypedDict):
+    """Options of a :class:`DptTrunk` that decoders built on it pass on."""
+
+    dim: int | Sequence[int]
+    channels: Sequence[int]
+    normed: NotRequired[bool]
+    rectified: NotRequired[bool]
+    waves: NotRequired[bool]
+    cropped: NotRequired[bool]
+
+
 class DptTrunk(nn.Module):
     """Decodes four levels of patch tokens into a map at eight times the grid of patches.
 
@@ -190,7 +201,7 @@ class Dpt(DptTrunk):
         options: Those of :class:`DptTrunk`.
     """
 
-    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Any) -> None:
+    def __init__(self, *, features: int, hidden: int, outputs: int, **options: Unpack[DptTrunkOptions]) -> None:
         super().__init__(features=features, **options)
         self.width = features // 2
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)

@@ -183,8 +183,7 @@ class Captures(Protocol):
         found = compared({name: record.get("styles", {}) for name, record in records.items()}, self.better)
         groups |= {title: {name: one["won"] / one["cells"] for name, one in of.items()} for title, of in found.items()}
         for name, record in records.items():
-            scores = record["scores"]
-            groups[f"{SCENE}{name}"] = numbers(scores["fit"] | scores.get("stylized", {}))
+            groups[f"{SCENE}{name}"] = numbers(record["scores"]["fit"] | record["scores"].get("stylized", {}))
             for kind, styles in record.get("styles", {}).items():
                 rows += [Row(name, f"{kind}, {style}", numbers(scores)) for style, scores in styles.items()]
         return Evaluation(

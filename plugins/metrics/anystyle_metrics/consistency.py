@@ -197,15 +197,13 @@ def _neighbours(photographs: Float[Tensor, "V 3 H W"]) -> tuple[Tensor, Tensor]:
 
 def _overlapping(rough: Frames) -> tuple[Tensor, Tensor]:
     """The places of pairs of which the second view sees enough of the first, from the most to the least of it."""
-    num_views = len(rough.images)
-    places = torch.arange(num_views, device=rough.images.device)
-    pairs = torch.combinations(places).split(num_views)
-    parts = [_projected(rough, *batch.unbind(1)) for batch in pairs]
+    pairs = torch.combinations(torch.arange(len(rough.images), device=rough.images.device))
+    parts = [_projected(rough, *batch.unbind(1)) for batch in pairs.split(len(rough.images))]
     overlap, seen = torch.cat([part[0] for part in parts]), torch.cat([part[2].float().mean((1, 2)) for part in parts])
     order = overlap.argsort(descending=True)
     order = order[seen[order] >= LEAST]
     order = order[torch.linspace(0, len(order) - 1, min(MOST, len(order))).round().long()]
-    first, second = torch.combinations(places)[order].unbind(1)
+    first, second = pairs[order].unbind(1)
     return first, second
 
 
@@ -363,8 +361,7 @@ class Consistency(Metric):
             if known is None:
                 warnings.warn(FOLLOWED, stacklevel=5)
             links = link(photographs, known, _frames(comparison, row, SIDE // 4))
-            kept = links.verified.flatten(1).any(1)
-            links = Links(*(values[kept] for values in links))
+            links = Links(*(values[links.verified.flatten(1).any(1)] for values in links))
             allowed = colour_shift(photographs, *links.aligned(photographs), links.verified)
             self._links = (key, links, Windows(links.verified), allowed)
         return self._links[1:]

@@ -140,9 +140,7 @@ class Aggregator(contracts.Aggregator):
         tokens = stem
         for layer, (frame_block, global_block) in enumerate(zip(self.frame_blocks, self.global_blocks, strict=True)):
             tokens = inject(f"aggregator/{layer}", tokens)
-            framed = apply(frame_block, tokens.data.flatten(0, 1), within[layer]).unflatten(
-                0, (batch, views)
-            )  # B V P C
+            framed = apply(frame_block, tokens.data.flatten(0, 1), within[layer]).unflatten(0, (batch, views))
             joint = apply(global_block, framed.flatten(1, 2), across[layer])  # B VP C
             tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
             if layer in self.taps:

@@ -4,7 +4,7 @@ import copy
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar, Unpack
 
 import torch
 import torch.nn.functional as F
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.contracts import StylePredictor, style_tokens
 from anystyle.types import Attributes, Features, Geometry, Inject, Scene, Site, StyleEmbedding, untouched
-from anystyle_backbones.dpt import Dpt, DptTrunk, by_views, resized
+from anystyle_backbones.dpt import Dpt, DptTrunk, DptTrunkOptions, by_views, resized
 from anystyle_backbones.styl3r.pointmaps import cameras_of, points_of
 from anystyle_backbones.styl3r.transformer import ImageEncoder, TokenStylizer, symmetric
 
@@ -92,7 +92,7 @@ class PixelDecoder(DptTrunk):
         options: Those of :class:`~anystyle_backbones.dpt.DptTrunk`.
     """
 
-    def __init__(self, *, features: int, outputs: int, reads_image: bool, **options: Any) -> None:
+    def __init__(self, *, features: int, outputs: int, reads_image: bool, **options: Unpack[DptTrunkOptions]) -> None:
         super().__init__(features=features, **options)
         self.direct = nn.Conv2d(3, features, 7, padding=3) if reads_image else None
         hidden = nn.Conv2d(features, features, 3, padding=1, bias=False)
