@@ -38,6 +38,8 @@ AVERAGED = 0.2
 """The fraction of the steps, and again of the final ones, that the mean is over (Polyak and Juditsky 1992)."""
 VISITS = 4
 """How often a pass of the final steps sees each view that was held out; the others once."""
+SHOWN = 0.5
+"""Opacity of a pixel above which the scene has a depth there."""
 DSSIM = 0.2
 """Weight of 1 - SSIM beside L1, as in 3D Gaussian splatting."""
 MIN_OPACITY, MAX_FOOTPRINTS, NEAREST = 0.02, 60.0, 0.03
@@ -370,23 +372,25 @@ class FitLoop:
     def _include_heldout(self) -> None:
         """From now on steps see all views; those held out begin with the exposure of neighbouring views.
 
-        Where they differ from the scene, their pixels are lifted to its depth, as many as other views have Gaussians.
+        Where they differ from the scene, their pixels are lifted to its depth, if it has one there, as many as other
+        views have Gaussians.
         """
         number, added = max(1, len(self.splats) // len(self.training)), list[InitialGaussians]()
         for view in self.heldout:
             self.exposures.values[view] = self.exposures.of(view)
             renders = self.renderer(self.gaussians(), self.cameras.select([view]))
             depth = (renders.depth / renders.alpha.clamp_min(1e-6))[0].cpu()
-            error = ((self.render(view) - self.images[view, None]).abs().mean(1) * self._measured([view])).cpu()
+            known = self._measured([view]) & (renders.alpha[0] > SHOWN)
+            error = ((self.render(view) - self.images[view, None]).abs().mean(1) * known).cpu()
             # As many, drawn in proportion to the error (Efraimidis and Spirakis 2006).
             drawn = error / torch.empty_like(error).exponential_(generator=self.generator)
-            chosen = drawn.flatten().topk(min(number, error.numel())).indices
+            chosen = drawn.flatten().topk(min(number, int(error.count_nonzero()))).indices
             pixels = torch.stack(torch.unravel_index(chosen, error.shape), dim=1)
             given = self.images[view, None].cpu(), self.cameras.select([view]).to("cpu")
-            added.append(lift(*given, depth[pixels.unbind(1)], pixels))
-        new = InitialGaussians.cat(added).to(self.images.device)
-        together = Gaussians.cat([self.gaussians().detach(), new.gaussians(self.options.degree)], dim=1)
-        self.splats = self._parameters(together, torch.cat([self.splats.units, new.footprints]))
+            added += [lift(*given, depth[pixels.unbind(1)], pixels)] if len(pixels) else []
+        for new in (part.to(self.images.device) for part in added):
+            together = Gaussians.cat([self.gaussians().detach(), new.gaussians(self.options.degree)], dim=1)
+            self.splats = self._parameters(together, torch.cat([self.splats.units, new.footprints]))
         self._clear()
         self.training = self.useful
         self._carve()

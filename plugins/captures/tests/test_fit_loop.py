@@ -130,6 +130,21 @@ def test_a_step_waits_for_nothing(photographs, refine):
     assert kernels.count > 6 and kernels.waits == 0
 
 
+@pytest.mark.parametrize("turn", [0.0, radians(180)], ids=["half seen", "nothing seen"])
+def test_a_held_out_view_adds_nothing_where_the_scene_shows_nothing(photographs, turn):
+    images, cameras, _ = photographs
+    pose = cameras.world_from_camera.clone()
+    pose[0, 6, :3, :3] @= matrix_from_vector(torch.tensor([0.0, turn, 0.0]))
+    turned = replace(cameras, world_from_camera=pose)
+    start = initial(photographs, views=(0,), num_gaussians=300)
+    start = start.map(lambda values: values[start.pixels[:, 2] < images.shape[-1] // 2])
+    options = FitOptions(num_steps=1, final_steps=1)
+    result = FitLoop(images, turned, InitialScene(start), RENDERER, options, heldout=(6,)).run(lambda _: None)
+    assert all(values.isfinite().all() for values in vars(result.gaussians).values() if values is not None)
+    depth = (torch.linalg.inv(pose[0, 6]) @ torch.nn.functional.pad(result.gaussians.means[0], (0, 1), value=1.0).T)[2]
+    assert depth.abs().min() > 0.1
+
+
 def test_what_shows_nothing_is_removed(photographs, monkeypatch):
     monkeypatch.setattr(fit_loop, "PRUNE_EVERY", 1)
     images, cameras, _ = photographs
