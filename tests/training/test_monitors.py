@@ -210,7 +210,7 @@ def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):
     plain = make_training(configuration(words, tmp_path))
     saving = make_training(configuration((*words, "backbone.checkpointing=true"), tmp_path))
     saving.load_state_dict(plain.state_dict())
-    import anystyle.nn.attention as module
+    import anystyle_backbones.blocks as module
 
     calls = []
     whole = module.checkpoint
