@@ -4,8 +4,8 @@
 # Rows are stored from the bottom up, and the third line of the header is a scale, negative for little-endian numbers.
 # With a scale of -2.5, Pillow 13.0.0 returns the numbers as stored and 2.5 in `info["scale"]`, in gray alone; OpenCV
 # 5.0.0.93 and PyAV 18.1.0 (FFmpeg) divide by it; OpenImageIO 3.2.2.0 multiplies, and returns the bottom row first;
-# imageio 2.38.1 beside PyAV decodes it as a film, to 8 bits that end at 1. No warning. Divide by -1 and multiply by 1
-# are the same: write a scale of 1, and look which way up it is.
+# imageio 2.38.1 beside PyAV decodes it as a film, to 8 bits that end at 1. No warning. With a scale of -1 the
+# first three agree: write that, and look which way up it is.
 # Seen: 2 x 3 numbers from 1 to 6.
 set -euo pipefail
 cd "$(mktemp -d)"

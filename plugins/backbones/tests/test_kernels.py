@@ -43,7 +43,8 @@ def test_queries_and_keys_are_normalised_each_by_its_own_norm() -> None:
     twice = Rotary(angles.cos.repeat(2, 1), angles.sin.repeat(2, 1))
     q, k = rotate(attention.q_norm(q), twice), rotate(attention.k_norm(k), twice)
     mixed = torch.nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-    torch.testing.assert_close(attention(tokens, *with_norms([attention], angles)), attention.proj(mixed))
+    for given in (angles, *with_norms([attention], angles)):
+        torch.testing.assert_close(attention(tokens, given), attention.proj(mixed))
 
 
 @torch.no_grad()

@@ -84,9 +84,9 @@ def test_the_line_of_a_scene_in_the_spread_is_its_score_in_the_table(tmp_path, m
     kinds = (*rows, Row("street", "fit", {"art_fid": 20.0}), Row("street", "stylized, a", {"art_fid": 10.0}))
     scores = {"fit": {"art_fid": 20.0}, "stylized": {"art_fid": 10.0}, "scene street": {}}
     plots.spread(Evaluation({"art_fid": 20.0}, 2, groups=scores, rows=kinds), tmp_path / "spread.png")
-    assert [text.get_text() for text in drawn[-1].axes[0].get_yticklabels()] == [
-        "street", "street, fit", "street, stylized",
-    ]  # fmt: skip
+    axis = drawn[-1].axes[0]
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["street", "fit", "stylized"]
+    assert [list(line.get_xdata()) for line in axis.lines[1:]] == [[20.0], [20.0, 20.0], [10.0], [10.0, 10.0]]
 
 
 def test_without_what_draws_the_tables_are_written_all_the_same(evaluated, tmp_path, capsys, monkeypatch):

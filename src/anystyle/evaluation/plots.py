@@ -28,8 +28,9 @@ def plotting() -> Any:
 def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
     """Draw a panel for each score: a dot for each scene in each style, a line at each scene's score in the table.
 
-    The score of a scene is not the mean of its styles' where a metric judges all images together, as FID does. Kinds of
-    results that have scores of their own in the table, such as the fit and a single pass, have levels of their own.
+    The score of a scene is not the mean of its styles' where a metric judges all images together, as FID does. Where
+    kinds of results have scores of their own in the table, as the fit and a single pass, there is a level for each kind
+    in place of each scene.
     """
     names = [name for name in evaluation.scores if len(_values(evaluation.rows, name)) > 1]
     if not names:
@@ -37,19 +38,20 @@ def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
     levels: dict[str, list[Row]] = {}
     for row in evaluation.rows:
         kind = row.style.partition(", ")[0]
-        levels.setdefault(f"{row.scene}, {kind}" if kind in evaluation.groups else row.scene, []).append(row)
+        levels.setdefault(kind if kind in evaluation.groups else row.scene, []).append(row)
+    known = {**evaluation.groups, **evaluation.scenes, "": evaluation.scores}
     figure, axes = panels(len(names), list(levels), width=3.1, height=1.25 + 0.16 * len(levels), margin=(0.0, 0.4))
     explanation = ""
     for axis, name in zip(axes, names, strict=True):
         stands_in = name in evaluation.stand_ins
         color = COLORS["stand-in" if stands_in else "ours"]
         for level, (title, rows) in enumerate(levels.items()):
-            values = _values(rows, name)
+            values = _values([row for row in rows if ", " in row.style], name) or _values(rows, name)
             axis.plot(values, [level] * len(values), "o", color=color, alpha=0.45, markersize=5, markeredgewidth=0)
-            score = (evaluation.scenes.get(title, {}) if title else evaluation.scores).get(name, math.nan)
+            score = known.get(title, {}).get(name, math.nan)
             if math.isfinite(score):
                 axis.plot([score] * 2, [level - 0.22, level + 0.22], color=INK, linewidth=1.4)
-                explanation = "dot: one style; line: the score of all styles, as in the table"
+                explanation = "dot: one scene in one style; line: the score of all, as in the table"
         axis.tick_params(axis="x", labelsize=7, color=RULE)
         axis.xaxis.get_offset_text().set_fontsize(7)
         axis.locator_params(axis="x", nbins=4)

@@ -82,22 +82,21 @@ def summary(evaluation: Evaluation) -> Table:
     title = provenance.get("title", "")
     columns = {_lacking(title or ("all" if groups else "value"), evaluation.missing(title)): evaluation.scores}
     columns |= {_lacking(name.removeprefix(SCENE), evaluation.missing(name)): group for name, group in groups.items()}
-    machine = provenance.get("machine", "an unknown machine")
-    notes = [f"n = {evaluation.size}, {provenance.get('seconds', 0):.0f} s on {machine}."]
+    seconds, machine = provenance.get("seconds", 0), provenance.get("machine", "an unknown machine")
+    notes = [f"n = {evaluation.size}, {seconds:.0f} s on {machine}."]
     if any(name.startswith(SCENE) for name in groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
     if evaluation.stand_ins:
-        networks = ", ".join(dict.fromkeys(evaluation.stand_ins.values()))
-        notes.append(f"† {STAND_IN}: by {networks} in place of a published network; no published score compares.")
+        networks = ", ".join(f"{name} by {network}" for name, network in evaluation.stand_ins.items())
+        notes.append(f"† {STAND_IN} with published scores: {networks}.")
     notes += [f"Warning: {text}" for text in provenance.get("warnings", [])]
     caption = ", ".join(filter(None, (provenance.get("protocol", "evaluation"), provenance.get("variant"))))
     names = list(dict.fromkeys(name for scores in columns.values() for name in scores))
     wide = len(columns) > len(names)
     grid = [("" if wide else "score", *columns)]
     for name in names:
-        mark = " †" if name in evaluation.stand_ins else ""
-        cells = (number(scores.get(name)) for scores in columns.values())
-        grid.append((f"{titled(name, evaluation.better)}{mark}", *cells))
+        label = f"{titled(name, evaluation.better)}{' †' if name in evaluation.stand_ins else ''}"
+        grid.append((label, *(number(scores.get(name)) for scores in columns.values())))
     head, *rows = zip(*grid, strict=True) if wide else grid
     return Table(head, tuple(rows), caption, tuple(notes))
 

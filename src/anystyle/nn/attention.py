@@ -13,23 +13,23 @@ from anystyle.nn.tokens import Rotary, rotate
 class Attention(nn.Module):
     """Multi-head self-attention; with ``qk_norm`` queries and keys are normalised per head, ahead of the rotation.
 
-    Their gain and bias must be in the angles then, as :class:`~anystyle.nn.tokens.Rotary` says.
+    Gain and bias of the norms may be in the angles, which takes fewer kernels; see :class:`~anystyle.nn.tokens.Rotary`.
     """
 
     def __init__(self, dim: int, heads: int, *, qk_norm: bool) -> None:
         super().__init__()
         self.heads = heads
         self.qkv = nn.Linear(dim, 3 * dim)
-        self.q_norm = nn.LayerNorm(dim // heads) if qk_norm else nn.Identity()
-        self.k_norm = nn.LayerNorm(dim // heads) if qk_norm else nn.Identity()
+        self.q_norm, self.k_norm = (nn.LayerNorm(dim // heads) if qk_norm else nn.Identity() for _ in range(2))
         self.proj = nn.Linear(dim, dim)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
         qkv = self.qkv(x).unflatten(-1, (3, self.heads, -1))  # M L 3 heads E
         qk, v = qkv[:, :, :2], qkv[:, :, 2].transpose(1, 2)
-        if isinstance(self.q_norm, nn.LayerNorm):
-            assert angles is not None and angles.shift is not None
-            qk = F.layer_norm(qk, qk.shape[-1:], eps=self.q_norm.eps)
+        if angles is not None and angles.shift is not None:
+            qk = F.layer_norm(qk, qk.shape[-1:])
+        elif isinstance(self.q_norm, nn.LayerNorm):
+            qk = torch.stack([self.q_norm(qk[:, :, 0]), self.k_norm(qk[:, :, 1])], dim=2)
         qk = qk.permute(0, 2, 3, 1, 4)  # M 2 heads L E
         q, k = (qk if angles is None else rotate(qk, angles)).unbind(1)
         # Under autocast the norms leave queries and keys in another precision than values.

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from anystyle import contracts
 from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne, Positive, Range
 from anystyle_backbones.anysplat.adapter import Adapter
-from anystyle_backbones.dpt import Dpt
+from anystyle_backbones.dpt import Dpt, DptTrunkOptions
 from anystyle_backbones.styl3r.heads import ColorHead, GaussianHead, GeometryHead, PixelDecoder, Styl3rBranch
 from anystyle_backbones.styl3r.transformer import Aggregator, Embedder, ImageEncoder, TokenStylizer
 
@@ -93,7 +93,7 @@ class Styl3r(contracts.Backbone):
         common = {"mlp_ratio": mlp_ratio, "rope_base": rope_base}
         encoder = partial(ImageEncoder, dim, patch_size=patch_size, depth=depth, heads=heads, **common)
         decoder = {"depth": decoder_depth, "heads": decoder_heads, **common}
-        levels: dict[str, Any] = {
+        levels: DptTrunkOptions = {
             "dim": (dim, *(decoder_dim,) * 3),
             "channels": channels,
             "normed": False,
