@@ -1,6 +1,7 @@
 """The method: Figure 2 of the paper, top to bottom."""
 
 import contextlib
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -145,7 +146,7 @@ class Stylizer(nn.Module):
                 f"{number} embeddings of {dim} dimensions; this model's styles have {self.style_encoder.dim}; make "
                 "them with this stylizer's `embed`"
             )
-        if not (self.training or embedding.vector.isfinite().all()):
+        if not (self.training or math.isfinite(embedding.vector.detach().abs().amax())):
             raise UserError("the embedding holds numbers that are not finite; make it with `embed`")
         if scene.gaussians is not None:
             raise UserError("a fitted or given scene takes its style by a method: Branch()(stylizer, scene, ...)")

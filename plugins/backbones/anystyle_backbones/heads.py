@@ -171,9 +171,9 @@ def centred_cameras(
     ``rotation`` is world from camera; ``tangent`` that of half the vertical and half the horizontal field of view.
     """
     height, width = size
-    focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
     kept = constant((0.0, 0.0, 0.0, 1.0, width / 2, height / 2), origin.device, origin.dtype)
-    last, (zero, *_, one, middle, centre) = kept[:4], (each.expand(focal_x.shape) for each in kept)
+    last, (zero, *_, one, middle, centre) = kept[:4], (each.expand(tangent.shape[:-1]) for each in kept)
+    focal_y, focal_x = centre / tangent[..., 0], middle / tangent[..., 1]
     # Joined, not filled in: products of matrices round by their layout, and exchanged views are to give the same.
     pose = torch.cat([rotation, origin[..., None]], dim=-1)
     pose = torch.cat([pose, last.expand(*origin.shape[:-1], 1, 4)], dim=-2)

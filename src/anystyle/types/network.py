@@ -163,7 +163,7 @@ class Geometry(Value):
             return self.pointmap
         intrinsics, pose = self.cameras.intrinsics, self.cameras.world_from_camera
         like = {"device": self.depth.device, "dtype": self.depth.dtype}
-        v, u = (torch.arange(side, **like) + pixel_center for side in self.depth.shape[-2:])
+        v, u = (torch.arange(pixel_center, side, **like) for side in self.depth.shape[-2:])
         x = (u - intrinsics[..., 0, 2, None]) / intrinsics[..., 0, 0, None]  # B V W
         y = (v - intrinsics[..., 1, 2, None]) / intrinsics[..., 1, 1, None]  # B V H
         # Axis by axis, for a matrix product would be rounded under autocast.

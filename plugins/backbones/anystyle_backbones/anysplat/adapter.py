@@ -104,7 +104,7 @@ def fuse(values: Float[Tensor, "B M C"], clusters: Clusters) -> Float[Tensor, "B
     size = clusters.means.shape[1]
     weighted = values * clusters.weight[..., None].to(values.dtype)
     flat = _flat_index(clusters.index, size)[:, None].expand(-1, channels)
-    total = values.new_zeros(batch * size, channels).scatter_add(0, flat, weighted.flatten(0, 1))
+    total = values.new_zeros(batch * size, channels).scatter_add_(0, flat, weighted.flatten(0, 1))
     return total.unflatten(0, (batch, size))
 
 
@@ -123,7 +123,7 @@ def _softmax(logits: Float[Tensor, "B M"], index: Int[Tensor, "B M"], size: int)
     count = len(logits) * size
     largest = values.new_full((count,), -torch.inf).scatter_reduce(0, flat, values.detach(), "amax")
     exponentials = (values - largest[flat]).exp()
-    total = exponentials.new_zeros(count).scatter_add(0, flat, exponentials)
+    total = exponentials.new_zeros(count).scatter_add_(0, flat, exponentials)
     return (exponentials / (total[flat] + 1e-6)).view_as(logits)
 
 

@@ -6,6 +6,7 @@ The heads read cameras, by VGGT's camera head, depth, and one raw Gaussian a pix
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 
 import torch
 import torch.nn.functional as F
@@ -45,12 +46,12 @@ class DinoV2(nn.Module):
         patches = self.proj(images)
         grid = patches.shape[-2], patches.shape[-1]
         places = positions(self.pos_embed, grid, size=grid, antialias=True).to(patches.dtype)
-        tokens = torch.cat([self.cls_token.expand(len(images), -1, -1), patches.flatten(2).mT], dim=1) + places
-        registers = self.register_tokens.expand(len(images), -1, -1)
-        tokens = torch.cat([tokens[:, :1], registers, tokens[:, 1:]], dim=1)
+        special = self.cls_token + places[:, :1], self.register_tokens
+        leading = [each.expand(len(images), -1, -1) for each in special]
+        tokens = torch.cat([*leading, places[:, 1:] + patches.flatten(2).mT], dim=1)
         for block in self.blocks:
             tokens = block(tokens)
-        return self.norm(tokens)[:, 1 + registers.shape[1] :]
+        return self.norm(tokens)[:, -grid[0] * grid[1] :]
 
 
 class Patches(nn.Module):
@@ -92,7 +93,7 @@ class Embedder(contracts.Embedder):
         patches = self.patches(pixels.flatten(0, 1)).unflatten(0, (batch, views))
         tokens = Tokens(patches, grid, reference=reference_view(images, patches.mean(2), self.reference))
         special = torch.cat([self.camera_token, self.register_token], dim=2)[0]  # 2 special C
-        special = special[1 - is_reference(tokens).long()].to(patches.dtype)  # B V special C
+        special = torch.where(is_reference(tokens)[..., None, None], *special).to(patches.dtype)  # B V special C
         return replace(tokens, data=torch.cat([special, patches], dim=2), special=special.shape[2])
 
 
@@ -134,14 +135,15 @@ class Aggregator(contracts.Aggregator):
         """Turn the stem into tapped features; no other layer's output is kept."""
         batch, views = stem.data.shape[:2]
         angles = grid_rotary(stem.grid, stem.special, self.head_dim, self.rope_base, stem.data.device, stem.data.dtype)
-        within, across = (with_norms(blocks, angles) for blocks in (self.frame_blocks, self.global_blocks))
+        pairs = list(zip(self.frame_blocks, self.global_blocks, strict=True))
+        turned = iter(with_norms(chain.from_iterable(pairs), angles))
         apply = partial(run, recompute=self.checkpointing and self.training)
         features: dict[int, Tokens] = {}
         tokens = stem
-        for layer, (frame_block, global_block) in enumerate(zip(self.frame_blocks, self.global_blocks, strict=True)):
+        for layer, (frame_block, global_block) in enumerate(pairs):
             tokens = inject(f"aggregator/{layer}", tokens)
-            framed = apply(frame_block, tokens.data.flatten(0, 1), within[layer]).unflatten(0, (batch, views))
-            joint = apply(global_block, framed.flatten(1, 2), across[layer])  # B VP C
+            framed = apply(frame_block, tokens.data.flatten(0, 1), next(turned)).unflatten(0, (batch, views))
+            joint = apply(global_block, framed.flatten(1, 2), next(turned))  # B VP C
             tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
             if layer in self.taps:
                 features[layer] = tokens.with_data(torch.cat([framed, tokens.data], dim=-1))
@@ -166,19 +168,18 @@ class CameraHead(CameraRegressor):
         """Encodings after each pass, the last being the result (:func:`anystyle_backbones.heads.rotation_of`)."""
         tokens = self.token_norm(camera_tokens)
         plain = F.layer_norm(tokens, tokens.shape[-1:], eps=1e-6)
-        encoding = torch.zeros_like(tokens[..., :9])
-        condition = self.empty_pose_tokens.expand_as(encoding)
-        passes: list[Tensor] = []
+        condition, passes = self.empty_pose_tokens, list[Tensor]()
         for _ in range(self.iterations):
             shift, scale, gate = self.modulation(F.silu(self.embed_pose(condition))).chunk(3, dim=-1)
             x = torch.addcmul(tokens, gate, torch.addcmul(shift, plain, 1 + scale))
             for block in self.trunk:
                 x = block(x)
-            encoding = encoding + self.pose_branch(self.trunk_norm(x))
-            condition = encoding.detach()
-            passes.append(encoding)
-        pose, view = torch.stack(passes).split((7, 2), dim=-1)
-        return torch.cat([pose, view.relu()], dim=-1)
+            change = self.pose_branch(self.trunk_norm(x))
+            passes.append(passes[-1] + change if passes else change)
+            condition = passes[-1].detach()
+        encodings = torch.stack(passes)
+        encodings[..., 7:].relu_()
+        return encodings
 
     def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
         encoding = self(tokens)[-1].float()

@@ -77,7 +77,7 @@ class Embedder(contracts.Embedder):
             tokens = tokens.with_data(by_view(block, tokens.data))
         tokens = replace(tokens, reference=reference_view(images, tokens.data[:, :, 0], self.reference))
         tokens = tokens.with_data(by_view(self.blocks[-1], tokens.data))
-        camera = self.camera_token[0][1 - is_reference(tokens).long()].to(tokens.data.dtype)
+        camera = torch.where(is_reference(tokens)[..., None], *self.camera_token[0]).to(tokens.data.dtype)
         return tokens.with_data(torch.cat([camera[:, :, None], tokens.patches], dim=2))
 
 
