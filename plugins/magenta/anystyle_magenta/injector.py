@@ -49,7 +49,7 @@ def stylize_images(
     *,
     working_size: int | None = None,
     joint: bool = False,
-    chunk: int = 8,
+    chunk: int = 2,
 ) -> Float[Tensor, "B V C H W"]:
     """Stylize pictures; differentiable in pictures and style.
 
@@ -125,7 +125,7 @@ class MagentaInjector(Injector):
         own_strokes: bool = False,
         gate: float = 0.0,
         pretrained: bool = True,
-        chunk: AtLeastOne = 8,
+        chunk: AtLeastOne = 2,
     ) -> None:
         super().__init__()
         if pretrained and (dim, style_dim) != (3, STYLE_DIM):

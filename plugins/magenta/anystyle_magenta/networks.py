@@ -106,14 +106,15 @@ class StyleTransfer(nn.Module):
         self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"], chunk: int | None = None
     ) -> Float[Tensor, "B V C H W"]:
         """Stylize sRGB images in [0, 1], of sides of 8 or more that are multiples of 4, ``chunk`` at a time."""
+        # In place where no gradient needs what was there: all views at full size are most of the memory.
         chunks: Sequence[Tensor] = images.split(chunk or images.shape[1], dim=1)
         for conv in self.contract:
-            chunks = [_view_by_view(conv, x).relu() for x in chunks]
+            chunks = [_view_by_view(conv, x).relu_() for x in chunks]
         for block in self.residual:
             chunks = block(chunks, style)
         for conv in self.expand[:-1]:
-            chunks = [x.relu() for x in conv(chunks, style)]
-        return torch.cat([x.sigmoid() for x in self.expand[-1](chunks, style)], dim=1)
+            chunks = [x.relu_() for x in conv(chunks, style)]
+        return torch.cat([x.sigmoid_() for x in self.expand[-1](chunks, style)], dim=1)
 
 
 class Residual(nn.Module):
@@ -125,7 +126,7 @@ class Residual(nn.Module):
         self.second = StyledConv(channels, channels, 3, style_dim)
 
     def forward(self, chunks: Sequence[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
-        hidden = [x.relu() for x in self.first(chunks, style)]
+        hidden = [x.relu_() for x in self.first(chunks, style)]
         return [x + y for x, y in zip(chunks, self.second(hidden, style), strict=True)]
 
 
