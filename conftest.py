@@ -24,7 +24,7 @@ os.environ["WARP_CACHE_PATH"] = str(Path(__file__).parent / "plugins" / "warp_re
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 gc.disable()
-# A suite in the background ignores interruption, by nohup hanging up, and so would the programs that its tests signal.
+# A suite in the background ignores SIGINT, and under nohup SIGHUP, and so would the programs that its tests signal.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # How long a draw or an example takes depends on what else the machine does.

@@ -10,7 +10,7 @@
 #   spectral angle in degrees, `sam` of image-similarity-measures: 89.5 against itself and against another image, for
 #     products of bytes wrap; as float32, 0.0 and 34
 #   `issm` of image-similarity-measures: 0 for all of these, a NaN that was replaced
-# SSIM, whose constants are there for this, is 1 in all three. No warning.
+# SSIM, whose constants are there for this, is 1 in all three.
 set -euo pipefail
 cd "$(mktemp -d)"
 python3 -m venv env

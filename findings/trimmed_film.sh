@@ -1,24 +1,21 @@
 #!/usr/bin/env bash
-# A film that was trimmed without encoding it again: three programs have frames that nobody sees.
+# A film that was trimmed without encoding it again: three programs count frames that nobody sees.
 #
 # A cut that copies packets keeps them from the last key frame on, and an edit list in the MP4 says where the film begins.
 # Of 48 frames, the first 18 cut off, PyAV 18.1.0 and OpenCV 5.0.0.93 decode 30. But
 #   stream.frames of PyAV, CAP_PROP_FRAME_COUNT of OpenCV   48
-#   imageio 2.38.1, imread(plugin="pyav")   48 pictures; nothing was written to the last 18, seen black or a level of gray
-#   imageio, imiter(plugin="pyav")          30
 #   decord 0.6.0                            48, the last 18 of which are the 30th once more; lines on stderr
 # Frames drawn evenly from 48 are, by more than a third, no frames. Count what is decoded.
 set -euo pipefail
 cd "$(mktemp -d)"
 python3 -m venv env
-env/bin/pip install --quiet numpy==2.4.6 av==18.1.0 imageio==2.38.1 opencv-python-headless==5.0.0.93 decord==0.6.0
+env/bin/pip install --quiet numpy==2.4.6 av==18.1.0 opencv-python-headless==5.0.0.93 decord==0.6.0
 env/bin/python - <<'PYTHON'
 from fractions import Fraction
 
 import av
 import cv2
 import decord
-import imageio.v3 as imageio
 import numpy as np
 
 FRAMES, CUT, RATE = 48, 18, 30
@@ -55,11 +52,6 @@ while capture.read()[0]:
     read += 1
 print(f"OpenCV: {stated} stated, {read} read")
 assert (stated, read) == (FRAMES, FRAMES - CUT)
-
-pictures = imageio.imread("trimmed.mp4", plugin="pyav")
-print("imageio:", [number(picture) for picture in pictures])
-assert len(pictures) == FRAMES and [number(picture) for picture in pictures[: len(decoded)]] == decoded
-assert len(list(imageio.imiter("trimmed.mp4", plugin="pyav"))) == len(decoded)
 
 reader = decord.VideoReader("trimmed.mp4")
 pictures = reader.get_batch(range(len(reader))).asnumpy()
