@@ -27,7 +27,7 @@ ROUNDING = 0.7 / 255 / 2
 """Standard deviation in the band that rounding to 8 bits may leave."""
 MOVED = 3 / 378
 """How far the photographs may move what depth says, of the shorter side."""
-STEPS, SPREAD = 5, 5 / 378
+STEPS, SPREAD = 5, 3 / 378
 """Least-squares steps of that alignment, and the standard deviation of their window, of the shorter side."""
 TOLERANCE = 0.02
 """How much farther than what the second view shows a point may be, relative, and still be seen."""
@@ -75,8 +75,8 @@ class Links(NamedTuple):
     verified: Bool[Tensor, "M H W"]
 
     def aligned(self, views: Float[Tensor, "V 3 H W"]) -> tuple[Float[Tensor, "M 3 H W"], Float[Tensor, "M 3 H W"]]:
-        """The first views, and the second ones moved onto them."""
-        return views[self.first], sample_at(views[self.second], self.flow)
+        """The first views, and the second ones moved onto them; bilinear weights would soften one of the two."""
+        return views[self.first], sample_at(views[self.second], self.flow, "bicubic")
 
 
 class Windows:
@@ -247,7 +247,7 @@ def _corrected(photographs: Float[Tensor, "V 3 H W"], links: Links) -> Float[Ten
     xx, yy = xx + DAMPING, yy + DAMPING
     flow = links.flow
     for _ in range(STEPS):
-        error = source - sample_at(alike[links.second], flow)
+        error = source - sample_at(alike[links.second], flow, "bicubic")
         x, y = seen.mean(torch.cat([dx * error, dy * error], dim=1), SPREAD).split(1, dim=1)
         update = torch.cat([yy * x - xy * y, xx * y - xy * x], dim=1) / (xx * yy - xy.square())
         flow = flow + update.clamp(-1, 1)

@@ -9,18 +9,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 
-def sample_at(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"]) -> Float[Tensor, "M C H W"]:
-    """Sample ``image`` at each pixel's centre displaced by ``flow`` pixels, exactly; zero outside."""
-    height, width = image.shape[-2:]
+def sample_at(
+    image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"], mode: str = "bilinear"
+) -> Float[Tensor, "M C H W"]:
+    """Sample ``image`` at each pixel's centre displaced by ``flow`` pixels; zero outside."""
     centres = (pixels(flow) + 0.5 + flow).movedim(1, -1)
-    grid = centres * flow.new_tensor([2 / width, 2 / height]) - 1
-    return F.grid_sample(image, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
+    grid = centres * 2 / flow.new_tensor(image.shape[:1:-1]) - 1
+    return F.grid_sample(image, grid, mode=mode, padding_mode="zeros", align_corners=False)
 
 
 def pixels(like: Float[Tensor, "*batch H W"]) -> Float[Tensor, "2 H W"]:
     """Column and row of each pixel, counted from 0, with the dtype and device of ``like``."""
-    height, width = like.shape[-2:]
-    ranges = (torch.arange(side, dtype=like.dtype, device=like.device) for side in (width, height))
+    ranges = (torch.arange(side, dtype=like.dtype, device=like.device) for side in like.shape[:-3:-1])
     return torch.stack(torch.meshgrid(*ranges, indexing="xy"))
 
 
