@@ -76,7 +76,7 @@ class Links(NamedTuple):
 
     def aligned(self, views: Float[Tensor, "V 3 H W"]) -> tuple[Float[Tensor, "M 3 H W"], Float[Tensor, "M 3 H W"]]:
         """The first views, and the second ones moved onto them; bilinear weights would soften one of the two."""
-        return views[self.first], sample_at(views[self.second], self.flow, "bicubic")
+        return views[self.first], sample_at(views[self.second], self.flow, "bicubic", "border")
 
 
 class Windows:
@@ -180,6 +180,7 @@ def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Fr
     overlap, flow, seen = map(torch.cat, zip(*parts, strict=True))
     links = Links(*pairs, overlap, flow, seen, seen)
     links = links._replace(flow=_corrected(photographs, links))
+    seen &= sample_at(torch.ones_like(flow[:, :1]), links.flow)[:, 0] > 0.5  # corrections may lead outside
     first, second = links.aligned(photographs)
     rho, contrast = correlation(first, second, Windows(seen), FINER)
     verified = seen & ((rho > AGREE) | (contrast < 4 * ROUNDING))
@@ -247,11 +248,10 @@ def _corrected(photographs: Float[Tensor, "V 3 H W"], links: Links) -> Float[Ten
     xx, yy = xx + DAMPING, yy + DAMPING
     flow = links.flow
     for _ in range(STEPS):
-        error = source - sample_at(alike[links.second], flow, "bicubic")
+        error = source - sample_at(alike[links.second], flow, "bicubic", "border")
         x, y = seen.mean(torch.cat([dx * error, dy * error], dim=1), SPREAD).split(1, dim=1)
         update = torch.cat([yy * x - xy * y, xx * y - xy * x], dim=1) / (xx * yy - xy.square())
-        flow = flow + update.clamp(-1, 1)
-        flow = links.flow + (flow - links.flow).clamp(-MOVED * side, MOVED * side)
+        flow = links.flow + (flow + update.clamp(-1, 1) - links.flow).clamp(-MOVED * side, MOVED * side)
     return flow
 
 
