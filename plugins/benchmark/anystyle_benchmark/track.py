@@ -19,7 +19,8 @@ from anystyle.registry.compose import choices
 
 TRACKS = Path(__file__).parent / "tracks"
 PROTOCOL = 1
-"""Version of the judge: it is raised whenever a figure of the same images would come out differently."""
+"""Version of the judge: it, or that of the only track concerned, is raised whenever a figure of the same images would
+come out differently."""
 
 _Entry = TypeVar("_Entry", "SceneEntry", "StyleEntry")
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
