@@ -261,7 +261,7 @@ def _map_incrementally(
     mapping.random_seed = mapping.mapper.random_seed = mapping.triangulation.random_seed = options.seed
     mapping.min_model_size = MIN_VIEWS
     mapping.extract_colors = False
-    # A view that sees too few points: 12 s of *street*'s 13, and no camera more on eleven captures.
+    # A view that sees too few points is not tried again by its matches: 12 of *street*'s 13 s, for no camera more.
     mapping.structure_less_registration_fallback = False
     mapping.mapper.init_min_num_inliers = 50
     mapping.mapper.abs_pose_min_num_inliers = options.min_inliers
