@@ -178,9 +178,9 @@ def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Fr
     ends = zip(*(places.split(1) for places in pairs), strict=True)
     parts = [_followed(photographs, *end) if frames is None else _projected(frames, *end) for end in ends]
     overlap, flow, seen = map(torch.cat, zip(*parts, strict=True))
+    flow = _corrected(photographs, Links(*pairs, overlap, flow, seen, seen))
+    seen = seen & (sample_at(torch.ones_like(flow[:, :1]), flow)[:, 0] > 0.5)  # the correction may lead outside
     links = Links(*pairs, overlap, flow, seen, seen)
-    links = links._replace(flow=_corrected(photographs, links))
-    seen &= sample_at(torch.ones_like(flow[:, :1]), links.flow)[:, 0] > 0.5  # corrections may lead outside
     first, second = links.aligned(photographs)
     rho, contrast = correlation(first, second, Windows(seen), FINER)
     verified = seen & ((rho > AGREE) | (contrast < 4 * ROUNDING))
