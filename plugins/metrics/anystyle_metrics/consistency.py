@@ -16,7 +16,7 @@ from anystyle.geometry.warp import depth_around, reproject, sample_at
 from anystyle.types import Comparison, Frames
 from anystyle.vision.feature_cache import digests
 from anystyle_metrics.optical_flow.matching import DAMPING, match
-from anystyle_metrics.optical_flow.visibility import cycle_visible
+from anystyle_metrics.optical_flow.visibility import cycle_visible, inside
 
 SIDE = 189
 """Pixels of the shorter side at which views are compared; smaller ones are compared as they are."""
@@ -179,7 +179,7 @@ def link(photographs: Float[Tensor, "V 3 H W"], frames: Frames | None, rough: Fr
     parts = [_followed(photographs, *end) if frames is None else _projected(frames, *end) for end in ends]
     overlap, flow, seen = map(torch.cat, zip(*parts, strict=True))
     flow = _corrected(photographs, Links(*pairs, overlap, flow, seen, seen))
-    seen = seen & (sample_at(torch.ones_like(flow[:, :1]), flow)[:, 0] > 0.5)  # the correction may lead outside
+    seen = seen & inside(flow)  # the correction may lead outside
     links = Links(*pairs, overlap, flow, seen, seen)
     first, second = links.aligned(photographs)
     rho, contrast = correlation(first, second, Windows(seen), FINER)
