@@ -1,10 +1,8 @@
 """A scene fitted to posed photographs: depth by stereo, initial Gaussians, their optimisation."""
 
-import ctypes
 import logging
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -206,14 +204,7 @@ class Fit(Reconstruction):
         measures |= {f"heldout_{name}": value for name, value in heldout.items()}
         views = to_paint(views, result, renderer, unlike)
         scene = scene_of_fit(views, encode(views), result, renderer)
-        _give_back()
         return Reconstructed(scene, measures)
-
-
-def _give_back() -> None:
-    """Return the memory that steps used to the system, where its allocator (glibc) is asked to; others return it."""
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def warm(options: FitOptions, *, half: bool) -> FitOptions:
@@ -234,9 +225,10 @@ def to_paint(views: Views, result: FitResult, renderer: Renderer, unlike: Sequen
 
     So it is where those named as ``unlike`` show something else than the scene, such as what was moved.
     """
-    masks, images = Masks.of(views), views.images[0].clone()
-    if views.cameras is None:
+    masks = Masks.of(views)
+    if views.cameras is None or (masks is None and not unlike):
         return views
+    images = views.images[0].clone()
     for view in range(len(images)) if masks is not None else unlike:
         given = images[view]
         shown = result.photographed(renderer, views.cameras, [view], masked=masks is not None)[0]

@@ -15,6 +15,7 @@ from torch.nn.functional import interpolate
 
 from anystyle.contracts import Renderer
 from anystyle.errors import UserError
+from anystyle.methods.adam import Adam
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress, no_progress
 from anystyle_captures.free_space import FreeSpace
@@ -131,7 +132,8 @@ class Exposures:
 
     def __init__(self, cameras: Cameras, training: list[int]) -> None:
         self.centers = cameras.world_from_camera[0, :, :3, 3]
-        self.values = torch.zeros(len(self.centers), 6, device=self.centers.device).requires_grad_()
+        values = torch.zeros(len(self.centers), 6, device=self.centers.device).requires_grad_()
+        self.adam = Adam({"values": values}, {"values": 0.0})
         self.train(training)
 
     def train(self, training: list[int]) -> None:
@@ -142,6 +144,11 @@ class Exposures:
         blend = torch.zeros_like(distance).scatter(1, nearest.indices, weight / weight.sum(1, keepdim=True))
         blend[training] = torch.eye(len(training)).to(blend)
         self.training, self.blend = training, blend
+
+    @property
+    def values(self) -> Float[Tensor, "V 6"]:
+        """Gain - 1 and bias of each view; those of views that are not trained stay zero."""
+        return self.adam.parameters["values"]
 
     def of(self, view: int) -> Float[Tensor, " 6"]:
         """Gain - 1 and bias of a view."""
@@ -196,7 +203,6 @@ class FitLoop:
         self._carve()
         self.background = background(renderer, self.gaussians(), cameras)
         self.exposures = Exposures(cameras, self.training)
-        self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr, fused=True)
 
     @property
     def cameras(self) -> Cameras:
@@ -246,10 +252,9 @@ class FitLoop:
             color = torch.where(masks.valid[view], color, target)
         photometric_loss(color, target, dssim=DSSIM).backward()
         self._shrink()
-        self.splats.step()
-        self.exposure_optimizer.param_groups[0]["lr"] = options.rate * options.exposure_lr * 0.1**fraction
-        self.exposure_optimizer.step()
-        self.exposure_optimizer.zero_grad(set_to_none=True)
+        self.splats.adam.step()
+        self.exposures.adam.rates["values"] = options.rate * options.exposure_lr * 0.1**fraction
+        self.exposures.adam.step()
         self.exposures.center()
         last = max(1, round(AVERAGED * stage))
         if done >= stage - last:
@@ -427,8 +432,7 @@ class FitLoop:
             "order": self.order,
             "sums": self.sums,
             "splats": self.splats.state_dict(),
-            "exposures": self.exposures.values.detach(),
-            "exposure_optimizer": self.exposure_optimizer.state_dict(),
+            "exposures": self.exposures.adam.state_dict(),
             "quality": self.quality and tuple(self.quality),
             "aligned_psnr": self.aligned_psnr,
             "nearest": self.nearest,
@@ -443,9 +447,7 @@ class FitLoop:
         self.step, self.order = state["step"], list(state["order"])
         self.sums = dict(state["sums"])
         self.splats.load_state_dict(state["splats"])
-        with torch.no_grad():
-            self.exposures.values.copy_(state["exposures"])
-        self.exposure_optimizer.load_state_dict(state["exposure_optimizer"])
+        self.exposures.adam.load_state_dict(state["exposures"])
         self.exposures.train(self.training)
         self.quality = state["quality"] and Quality(*state["quality"])
         self.aligned_psnr, self.nearest = state["aligned_psnr"], state["nearest"]

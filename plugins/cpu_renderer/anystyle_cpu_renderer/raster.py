@@ -47,7 +47,8 @@ class Shares(NamedTuple):
     """The shares of Gaussians in pixels, by runs of pixels that one splat covers in one line.
 
     Args:
-        runs: ``[n, 3]``: the Gaussian, the first pixel, row by row through the image, and the number of pixels.
+        runs: ``[n, 2]``: the Gaussian; ``WIDTH`` times the first pixel, row by row through the image, plus how many
+            pixels follow it.
         values: The shares of each run's pixels in :data:`STEPS`, one run after another.
     """
 
@@ -325,7 +326,7 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
 def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, top: int, cap: float) -> Shares:
     """The shares of Gaussians in the pixels of a row of tiles, ``tall`` pixels high; ``owners`` are those of splats."""
     lists, offsets = tiles
-    runs, values = np.empty((1 << 14, 3), np.int32), np.empty(max(8 * lists.shape[0], 1 << 14), np.uint16)
+    runs, values = np.empty((1 << 14, 2), np.uint32), np.empty(max(8 * lists.shape[0], 1 << 14), np.uint16)
     number = length = 0
     # Planes: transmittance (negative once the pixel is full), the share of the current splat, column, row.
     tile = np.empty((4, HEIGHT * WIDTH), np.float32)
@@ -365,7 +366,7 @@ def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, to
                     stop -= np.uint64(1)
                 if first < stop:
                     pixel = (top + row) * width + left + int(first) - row * WIDTH
-                    runs[number, 0], runs[number, 1], runs[number, 2] = owner, pixel, stop - first
+                    runs[number, 0], runs[number, 1] = owner, pixel * WIDTH + int(stop - first) - 1
                     number += 1
                     for i in range(first, stop):
                         values[length] = np.uint16(tile[1, i] * STEPS + HALF)
@@ -379,7 +380,8 @@ def mix(shares: Shares, colors: Array, image: Array) -> None:
     runs, values = shares
     at = np.uint64(0)
     for run in range(runs.shape[0]):
-        owner, pixel, count = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]), np.uint64(runs[run, 2])
+        owner, pixel = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]) // WIDE
+        count = np.uint64(runs[run, 1]) % WIDE + np.uint64(1)
         red, green, blue = colors[owner, 0] / STEPS, colors[owner, 1] / STEPS, colors[owner, 2] / STEPS
         for i in range(count):
             share = np.float32(values[at + i])
@@ -395,7 +397,8 @@ def mix_transposed(shares: Shares, image: Array, colors: Array) -> None:
     runs, values = shares
     at = np.uint64(0)
     for run in range(runs.shape[0]):
-        owner, pixel, count = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]), np.uint64(runs[run, 2])
+        owner, pixel = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]) // WIDE
+        count = np.uint64(runs[run, 1]) % WIDE + np.uint64(1)
         red = green = blue = ZERO
         for i in range(count):
             share = np.float32(values[at + i])

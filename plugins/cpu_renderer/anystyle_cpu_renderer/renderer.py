@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 from anystyle.contracts import LinearView
 from anystyle.geometry.harmonics import degree_of, normalisation
 from anystyle.io.cache import LRUCache
-from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single, composite
+from anystyle.renderers.rasterizer import AccumulatedView, CappedRasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer import raster, stages
 from anystyle_cpu_renderer.projection import LIMITS, CameraArrays, SceneArrays
@@ -49,33 +49,29 @@ class CpuRenderer(CappedRasterizer):
             gaussians, camera = at_least_single(gaussians, camera)
             tensors, settings = self._inputs(gaussians, camera)
             (scene,), ((view,),) = _read(tensors, settings)
-        image = torch.empty(1, 1, 5, *camera.size)
+        image = torch.empty(5, *camera.size)
         with stages.workers() as run:
             (scene,) = _shaped([scene], tensors, run)
             splats = stages.project(scene, view, camera.size[0], run)
-            shares = stages.shares(splats, np.float32(self.alpha_cap), image[0, 0].numpy(), run)
+            shares = stages.shares(splats, np.float32(self.alpha_cap), image.numpy(), run)
         return _Shares(shares, len(scene.means), image, self.background)
 
 
-class _Shares(LinearView):
+class _Shares(AccumulatedView):
     """A sparse matrix: the share of each Gaussian in each pixel."""
 
     def __init__(
-        self,
-        shares: Shares,
-        number: int,
-        image: Float[Tensor, "1 1 5 H W"],
-        background: tuple[float, float, float],
+        self, shares: Shares, number: int, image: Float[Tensor, "5 H W"], background: tuple[float, float, float]
     ) -> None:
+        super().__init__(image, background)
         self._shares, self._number = shares, number
-        self.render = composite(image, background)
-        self.background = image[0, 0, 4] * torch.tensor(background)[:, None, None]
-        self.nbytes = sum(array.nbytes for array in shares)
+        self.nbytes = sum(array.nbytes for array in (*shares, image))
 
     def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
-        given, image = colors.detach().float().contiguous().numpy(), torch.zeros(self.background[0].numel(), 3)
+        height, width = self._image.shape[-2:]
+        given, image = colors.detach().float().contiguous().numpy(), torch.zeros(height * width, 3)
         raster.mix(self._shares, given, image.numpy())
-        return image.T.reshape(self.background.shape)
+        return image.T.reshape(3, height, width)
 
     def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
         image = pixels.detach().float().flatten(1).T.contiguous().numpy()

@@ -1,9 +1,10 @@
 """The stages of rendering one view, each a compiled kernel split into jobs for threads."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from mmap import mmap
 from threading import local
 from typing import Any
 
@@ -130,8 +131,14 @@ def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper
         raster.blend(part, tiles, top, cap, image, last)
         return raster.shares(part, owners, tiles, min(raster.HEIGHT, size[0] - top), size[1], top, cap)
 
-    # In one piece: those of many views would leave gaps in memory where the rows of each grew.
-    return Shares(*map(np.concatenate, zip(*run(job, range(len(splats.offsets) - 1)), strict=True)))
+    return Shares(*map(_mapped, zip(*run(job, range(len(splats.offsets) - 1)), strict=True)))
+
+
+def _mapped(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Parts in one piece, outside of the heap: what is kept would leave gaps there, which other sizes do not fill."""
+    shape = sum(map(len, parts)), *parts[0].shape[1:]
+    memory = mmap(-1, max(1, sum(part.nbytes for part in parts)))
+    return np.concatenate(parts, out=np.ndarray(shape, parts[0].dtype, memory))
 
 
 def blend_backward(

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from anystyle.contracts import Injector
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.ranges import AtLeastOne, Range
+from anystyle.ranges import Range
 from anystyle.types import Tokens
 from anystyle_magenta.networks import DIVISOR, STYLE_DIM, StyleTransfer
 from anystyle_magenta.pretrained import load_transfer
@@ -49,7 +49,6 @@ def stylize_images(
     *,
     working_size: int | None = None,
     joint: bool = False,
-    chunk: int = 2,
 ) -> Float[Tensor, "B V C H W"]:
     """Stylize pictures; differentiable in pictures and style.
 
@@ -62,7 +61,6 @@ def stylize_images(
         working_size: The shorter side in pixels that the network sees. Strokes have a fixed width in
             its pixels, so that a smaller size has broader ones. ``None``: as the images are.
         joint: Whether the views of a row share the statistics of the normalisations, as parts of one picture do.
-        chunk: Views convolved at a time, which affects only memory.
 
     Returns:
         sRGB in [0, 1], as large as the images.
@@ -70,10 +68,10 @@ def stylize_images(
     height, width = images.shape[-2:]
     pictures = _resized(images, working_shape((height, width), working_size))
     if joint:
-        stylized = network(pictures, style, chunk)
+        stylized = network(pictures, style)
     else:
-        rows = pictures.flatten(0, 1)[:, None].split(chunk)
-        styles = style.repeat_interleave(images.shape[1], dim=0).split(chunk)
+        rows = pictures.flatten(0, 1)[:, None].split(1)
+        styles = style.repeat_interleave(images.shape[1], dim=0).split(1)
         parts = [network(row, vectors) for row, vectors in zip(rows, styles, strict=True)]
         stylized = torch.cat(parts).view(pictures.shape)
     return _resized(stylized, (height, width))
@@ -90,7 +88,7 @@ def _resized(images: Float[Tensor, "B V C H W"], size: tuple[int, int]) -> Float
     if (images.shape[-2], images.shape[-1]) == size:
         return images
     rows = F.interpolate(images.flatten(0, 1), size=size, mode="bicubic", antialias=True, align_corners=False)
-    return rows.clamp(0, 1).unflatten(0, images.shape[:2])
+    return rows.clamp_(0, 1).unflatten(0, images.shape[:2])
 
 
 class MagentaInjector(Injector):
@@ -112,7 +110,6 @@ class MagentaInjector(Injector):
         gate: What ``gate`` starts as: 0 is the identity, from which a branch learns; 1 stylizes without any learning.
         pretrained: Whether the network starts from Magenta's weights (``anystyle weights list magenta_transform``).
             One that starts from scratch takes any sites and any embedding.
-        chunk: Views convolved at a time, which affects only memory.
     """
 
     def __init__(
@@ -125,7 +122,6 @@ class MagentaInjector(Injector):
         own_strokes: bool = False,
         gate: float = 0.0,
         pretrained: bool = True,
-        chunk: AtLeastOne = 2,
     ) -> None:
         super().__init__()
         if pretrained and (dim, style_dim) != (3, STYLE_DIM):
@@ -134,7 +130,7 @@ class MagentaInjector(Injector):
                 f"the site has {dim} channels and the style {style_dim} numbers; choose placement=color, or "
                 "injector.pretrained=false"
             )
-        self.working_size, self.coarse_to_fine, self.chunk, self.scale = working_size, coarse_to_fine, chunk, 1.0
+        self.working_size, self.coarse_to_fine, self.scale = working_size, coarse_to_fine, 1.0
         self.own_strokes = own_strokes
         self.network = StyleTransfer(channels=dim, style_dim=style_dim)
         self.gate = nn.Parameter(torch.tensor(float(gate)))
@@ -158,22 +154,25 @@ class MagentaInjector(Injector):
         other.scale = self.scale * scale
         return other
 
-    def _painted(self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V C H W"]:
+    def _painted(
+        self, patches: Float[Tensor, "B V p C"], style: Float[Tensor, "B D"], grid: tuple[int, int]
+    ) -> Float[Tensor, "B V C H W"]:
         """Views in styles of strokes of one width."""
+        # As rgb_from_constant, for any number of channels.
+        images = (patches.to(style) * CONSTANT).add_(0.5).clamp_(0, 1).mT.unflatten(-1, grid)
         for size in self.sizes((images.shape[-2], images.shape[-1])):
-            images = stylize_images(self.network, images, style, working_size=size, joint=True, chunk=self.chunk)
+            images = stylize_images(self.network, images, style, working_size=size, joint=True)
         return images
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Stylize the patches; special tokens stay."""
         patches = tokens.patches  # B V (H W) C
-        # As rgb_from_constant and constant_from_rgb, for any number of channels.
-        images = (patches * CONSTANT + 0.5).clamp(0, 1).mT.unflatten(-1, tokens.grid)
-        images, style = images.to(self.gate.dtype), style.to(self.gate.dtype)
+        style = style.to(self.gate.dtype)
         if self.own_strokes:
-            rows = zip(map(self.at_scale, stroke_scales(style)), images.split(1), style.split(1), strict=True)
-            stylized = torch.cat([painter._painted(*row) for painter, *row in rows])
+            painters = map(self.at_scale, stroke_scales(style))
+            rows = zip(painters, patches.split(1), style.split(1), strict=True)
+            stylized = torch.cat([painter._painted(part, one, tokens.grid) for painter, part, one in rows])
         else:
-            stylized = self._painted(images, style)
-        colors = ((stylized - 0.5) / CONSTANT).flatten(-2).mT.to(patches.dtype)
+            stylized = self._painted(patches, style, tokens.grid)
+        colors = stylized.sub_(0.5).div_(CONSTANT).flatten(-2).mT.to(patches.dtype)  # as constant_from_rgb
         return tokens.with_patches(torch.lerp(patches, colors, self.gate.to(patches.dtype)))

@@ -1,6 +1,6 @@
 """Magenta's two networks, of styles and of their transfer, and the text tower."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 import torch.nn.functional as F
@@ -102,14 +102,12 @@ class StyleTransfer(nn.Module):
         up = (StyledConv(wide, narrow, 3, style_dim, upsampling=2) for wide, narrow in ((quarter, half), (half, full)))
         self.expand = nn.ModuleList([*up, StyledConv(full, channels, 9, style_dim)])
 
-    def forward(
-        self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"], chunk: int | None = None
-    ) -> Float[Tensor, "B V C H W"]:
-        """Stylize sRGB images in [0, 1], of sides of 8 or more that are multiples of 4, ``chunk`` at a time."""
-        # In place where no gradient needs what was there: all views at full size are most of the memory.
-        chunks: Sequence[Tensor] = images.split(chunk or images.shape[1], dim=1)
+    def forward(self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V C H W"]:
+        """Stylize sRGB images in [0, 1], of sides of 8 or more that are multiples of 4."""
+        # View by view and in place, and lists emptied as they are read: all views at full size are most of the memory.
+        chunks = list(images.split(1, dim=1))
         for conv in self.contract:
-            chunks = [_view_by_view(conv, x).relu_() for x in chunks]
+            chunks = [_view_by_view(conv, x).relu_() for x in _emptied(chunks)]
         for block in self.residual:
             chunks = block(chunks, style)
         for conv in self.expand[:-1]:
@@ -126,7 +124,7 @@ class Residual(nn.Module):
         self.second = StyledConv(channels, channels, 3, style_dim)
 
     def forward(self, chunks: Sequence[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
-        hidden = [x.relu_() for x in self.first(chunks, style)]
+        hidden = [x.relu_() for x in self.first(list(chunks), style)]
         return [x + y for x, y in zip(chunks, self.second(hidden, style), strict=True)]
 
 
@@ -143,16 +141,16 @@ class StyledConv(nn.Module):
         self.scale = nn.Linear(style_dim, outputs)
         self.shift = nn.Linear(style_dim, outputs)
 
-    def forward(self, chunks: Sequence[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
-        """Upsample, convolve and normalise maps ``B v C h w`` of some views at a time."""
-        maps = [_view_by_view(lambda x: self.conv(self.upsample(x)), x) for x in chunks]
+    def forward(self, chunks: list[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
+        """Upsample, convolve and normalise maps ``B v C h w`` of some views at a time; the list is emptied."""
+        maps = [_view_by_view(lambda x: self.conv(self.upsample(x)), x) for x in _emptied(chunks)]
         return conditional_instance_norm(maps, self.scale(style), self.shift(style))
 
 
 def conditional_instance_norm(
-    chunks: Sequence[Tensor], scale: Float[Tensor, "B C"], shift: Float[Tensor, "B C"]
+    chunks: list[Tensor], scale: Float[Tensor, "B C"], shift: Float[Tensor, "B C"]
 ) -> list[Tensor]:
-    """Normalise maps ``B v C h w`` by mean and variance over pixels and over the views of all chunks."""
+    """Normalise maps ``B v C h w`` by mean and variance over pixels and views of all chunks; the list is emptied."""
     num_views = sum(x.shape[1] for x in chunks)
     moments = [(x.shape[1] / num_views, *torch.var_mean(x.float(), (1, 3, 4), correction=0)) for x in chunks]
     mean = torch.stack([fraction * within for fraction, _, within in moments]).sum(0)  # B C
@@ -161,7 +159,13 @@ def conditional_instance_norm(
     gain = scale * (variance + EPSILON).rsqrt()
     offset = shift - mean * gain
     gain, offset = (value[:, None, :, None, None].to(chunks[0].dtype) for value in (gain, offset))
-    return [torch.addcmul(offset, x, gain) for x in chunks]
+    return [torch.addcmul(offset, x, gain) for x in _emptied(chunks)]
+
+
+def _emptied(chunks: list[Tensor]) -> Iterator[Tensor]:
+    """The maps of a list, which lets go of each."""
+    while chunks:
+        yield chunks.pop(0)
 
 
 def _reflect_conv(inputs: int, outputs: int, kernel: int, *, stride: int = 1, bias: bool = True) -> nn.Conv2d:

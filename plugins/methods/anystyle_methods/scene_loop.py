@@ -116,12 +116,12 @@ class SceneLoop:
 
     def _advance(self, view: int, fraction: float) -> float:
         """Take one step, when this ``fraction`` of all is done, and return the loss before it."""
-        self.splats.set_rates({name: rate * self.decay**fraction for name, rate in self.rates.items()})
+        self.splats.adam.rates = {name: rate * self.decay**fraction for name, rate in self.rates.items()}
         with torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
             loss = self.loss(view)
             loss.backward()
-        self.splats.step()
+        self.splats.adam.step()
         return float(loss.detach())
 
     def loss(self, view: int) -> Tensor:

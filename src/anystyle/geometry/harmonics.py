@@ -88,7 +88,7 @@ def constant_from_rgb(rgb: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3
 
 def rgb_from_constant(constant: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """The colour that coefficients of degree 0 show, below 0 not yet cut."""
-    return constant * CONSTANT + 0.5
+    return (constant * CONSTANT).add_(0.5)
 
 
 def damping(degree: int) -> list[float]:

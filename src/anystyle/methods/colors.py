@@ -23,7 +23,7 @@ EVIDENCE, NEIGHBORS = 1.0, 8
 ``NEIGHBORS`` that cover more."""
 COUNTED = 50_000
 """Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
-KEPT = 320 << 20
+KEPT = 352 << 20
 """Bytes of linear views that are kept in memory; the others are made again each time."""
 MIN_CONFIDENCE = 1e-3
 """Confidence of a pixel whose Gaussians all appear larger in another view."""
@@ -348,8 +348,11 @@ def _bytes(cameras: Cameras) -> list[bytes]:
     return [pose.tobytes() + lens.tobytes() for pose, lens in zip(poses, lenses, strict=True)]
 
 
-def colors_alone(views: Views) -> Scene:
-    """Views with cameras as ``placement=color`` reads them: colours; no tokens, depth or Gaussians."""
+def colors_alone(views: Views, color: Float[Tensor, "B V H W 3 K"] | None = None) -> Scene:
+    """Views with cameras as ``placement=color`` reads them: colours; no tokens, depth or Gaussians.
+
+    ``color`` are other harmonics of pixels than those of the images.
+    """
     if views.cameras is None:
         raise UserError("placement=color encodes views with cameras, and these have none")
     images, cameras = views.images, views.cameras
@@ -365,7 +368,7 @@ def colors_alone(views: Views) -> Scene:
             opacity=pixels,
             scale=pixels[..., None].expand(*pixels.shape, 3),
             rotation=rotation,
-            color=constant_from_rgb(images.movedim(2, -1))[..., None],
+            color=constant_from_rgb(images.movedim(2, -1))[..., None] if color is None else color,
         ),
         clusters=None,
     )

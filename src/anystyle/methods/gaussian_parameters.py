@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from anystyle.heap import keep_freed
+from anystyle.methods.adam import Adam
 from anystyle.types import Gaussians
 
 NAMES = ("offsets", "scales", "rotations", "opacities", "colors", "harmonics")
@@ -36,11 +38,8 @@ class GaussianParameters:
             "harmonics": g.harmonics[0, :, 1:],
         }
         self.parameters = {name: values[name].clone().requires_grad_() for name in NAMES if name in rates}
-        groups = [{"params": [value], "name": name, "lr": rates[name]} for name, value in self.parameters.items()]
-        self.optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
-        # glibc reuses memory that a step frees, instead of returning it to the system, up to twice the largest block
-        # that was freed before (mallopt(3), M_MMAP_THRESHOLD): steps on 30,000 Gaussians are a tenth faster.
-        torch.empty(31 << 20, dtype=torch.uint8)
+        self.adam = Adam(self.parameters, {**rates}, betas=(0.9, 0.99), eps=1e-15)
+        keep_freed(31 << 20)  # steps on 30,000 Gaussians are a tenth faster
 
     def __len__(self) -> int:
         return len(self.units)
@@ -58,40 +57,17 @@ class GaussianParameters:
             harmonics=torch.cat([constant, higher], dim=1)[None],
         )
 
-    def set_rates(self, rates: Mapping[str, float]) -> None:
-        for group in self.optimizer.param_groups:
-            group["lr"] = rates[group["name"]]
-
-    def step(self) -> None:
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
-
     @torch.no_grad()
     def select(self, index: Int[Tensor, " n"]) -> None:
         """Keep the Gaussians at these indices, which may repeat, with their part of the optimiser's state."""
         self.fixed, self.units = self.fixed.map(lambda tensor: tensor[:, index]), self.units[index]
-        for group in self.optimizer.param_groups:
-            old = group["params"][0]
-            new = old.detach()[index].requires_grad_()
-            state = self.optimizer.state.pop(old, {})
-            self.optimizer.state[new] = {
-                key: value[index] if value.shape == old.shape else value for key, value in state.items()
-            }
-            group["params"][0] = self.parameters[group["name"]] = new
+        self.adam.select(index)
 
     def state_dict(self) -> dict[str, Any]:
         """All that is needed to resume; ``torch.save`` can write it."""
-        return {
-            "fixed": dict(vars(self.fixed)),
-            "units": self.units,
-            "parameters": {name: value.detach() for name, value in self.parameters.items()},
-            "optimizer": self.optimizer.state_dict(),
-        }
+        return {"fixed": dict(vars(self.fixed)), "units": self.units, "adam": self.adam.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore the result of :meth:`state_dict`; the number of Gaussians may differ."""
         self.fixed, self.units = replace(self.fixed, **state["fixed"]), state["units"]
-        for group in self.optimizer.param_groups:
-            value = state["parameters"][group["name"]].clone().requires_grad_()
-            group["params"][0] = self.parameters[group["name"]] = value
-        self.optimizer.load_state_dict(state["optimizer"])
+        self.adam.load_state_dict(state["adam"])

@@ -38,5 +38,5 @@ def refine(
         view = left.pop()
         color = renderer(parameters.gaussians(), cameras.select([view])).color[0, 0]
         ((color - targets[view]).abs() * confidence[view]).mean().backward()
-        parameters.step()
+        parameters.adam.step()
     return parameters.gaussians().detach()

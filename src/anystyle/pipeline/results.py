@@ -15,6 +15,7 @@ from torch import Tensor
 
 from anystyle.contracts import Method
 from anystyle.errors import UserError
+from anystyle.heap import keep_freed
 from anystyle.io.cache import LRUCache
 from anystyle.io.sheet import thumbnails
 from anystyle.pipeline.controls import Controls, Mask, SeenScene, applied
@@ -66,6 +67,7 @@ class Restyler:
     def _restyle(self, style: EmbeddedStyle, on_progress: OnProgress) -> Gaussians:
         stylizer = self.encoded.stylizer
         given = style.style.to(stylizer.device)
+        keep_freed(8 << 20)  # less than the pictures that are painted
 
         def restyle(scene: Scene) -> Gaussians:
             return self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
