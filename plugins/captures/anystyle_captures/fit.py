@@ -16,13 +16,13 @@ from torch.nn.functional import interpolate
 
 from anystyle.contracts import Reconstruction, Renderer
 from anystyle.errors import UserError
-from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
 from anystyle.io.limits import require
+from anystyle.methods.colors import with_gaussians
 from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
-from anystyle.types import Cameras, Geometry, OnProgress, Reconstructed, Scene, Views, no_progress
+from anystyle.types import Cameras, OnProgress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.fit_loop import FitLoop, FitOptions, FitResult, InitialScene
 from anystyle_captures.free_space import FreeSpace
@@ -51,7 +51,7 @@ class Preset(NamedTuple):
 PRESETS = {
     "draft": Preset(256, 20_000, FitOptions(num_steps=300, final_steps=50, scale_weight=0.001)),
     "good": Preset(384, 40_000, FitOptions(num_steps=600, final_steps=100, scale_weight=0.001)),
-    "best": Preset(768, 120_000, FitOptions(num_steps=1350, final_steps=200, scale_weight=0.001, dropout=0.25)),
+    "best": Preset(768, 120_000, FitOptions(num_steps=1350, final_steps=200, scale_weight=0.001)),
     "full": Preset(1 << 16, 200_000, FitOptions(num_steps=2700, final_steps=400, scale_weight=0.001)),
 }
 """Photographs are not enlarged, so that ``full`` is their own size."""
@@ -368,14 +368,5 @@ def scene_of_fit(views: Views, encoded: Scene, result: FitResult, renderer: Rend
     """The fitted Gaussians with what styling needs: their cameras and depths, and photographs of one exposure."""
     assert views.cameras is not None
     renders = [renderer(result.gaussians, views.cameras.select([view])) for view in range(views.images.shape[1])]
-    alpha = torch.cat([render.alpha for render in renders], dim=1)
-    depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
-    exposed = (views.images[0] - result.biases[:, :, None, None]) / result.gains[:, :, None, None]
-    color = constant_from_rgb(exposed.clamp(0, 1).movedim(1, -1))[None, ..., None]  # B V H W 3 1
-    return replace(
-        encoded,
-        geometry=Geometry(views.cameras, depth, alpha),
-        attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
-        clusters=None,
-        gaussians=result.gaussians,
-    )
+    exposed = (views.images - result.biases[:, :, None, None]) / result.gains[:, :, None, None]
+    return with_gaussians(encoded, result.gaussians, views.cameras, renders, exposed.clamp(0, 1))

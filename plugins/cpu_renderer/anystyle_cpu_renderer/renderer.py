@@ -11,8 +11,8 @@ from torch.autograd.function import once_differentiable
 from anystyle.contracts import LinearView
 from anystyle.geometry.harmonics import degree_of, normalisation
 from anystyle.io.cache import LRUCache
-from anystyle.renderers.rasterizer import AccumulatedView, CappedRasterizer, at_least_single
-from anystyle.types import Cameras, Gaussians
+from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single, composite
+from anystyle.types import Cameras, Gaussians, Renders
 from anystyle_cpu_renderer import raster, stages
 from anystyle_cpu_renderer.projection import LIMITS, CameraArrays, SceneArrays
 from anystyle_cpu_renderer.raster import BlendedView, Shares
@@ -57,15 +57,22 @@ class CpuRenderer(CappedRasterizer):
         return _Shares(shares, len(scene.means), image, self.background)
 
 
-class _Shares(AccumulatedView):
-    """A sparse matrix: the share of each Gaussian in each pixel."""
+class _Shares(LinearView):
+    """A sparse matrix: the share of each Gaussian in each pixel. Composited when asked, for many are held at once."""
 
     def __init__(
         self, shares: Shares, number: int, image: Float[Tensor, "5 H W"], background: tuple[float, float, float]
     ) -> None:
-        super().__init__(image, background)
-        self._shares, self._number = shares, number
+        self._shares, self._number, self._image, self._behind = shares, number, image, background
         self.nbytes = sum(array.nbytes for array in (*shares, image))
+
+    @property
+    def render(self) -> Renders:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return composite(self._image[None, None], self._behind)
+
+    @property
+    def background(self) -> Float[Tensor, "3 H W"]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._image[4] * torch.tensor(self._behind)[:, None, None]
 
     def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
         height, width = self._image.shape[-2:]

@@ -92,9 +92,7 @@ def painted(
     if scene.gaussians is not None and stylizer.branch.gaussian_head is None:
         with torch.enable_grad():
             views = covering_views(scene.gaussians, scene.cameras, stylizer.renderer, share=coverage, most=MAX_VIEWS)
-        chosen, color = replace(scene.views, cameras=scene.cameras), scene.attributes.color
-        if len(views) < color.shape[1]:
-            chosen, color = chosen.select(views), color[:, views]
+        chosen, color = replace(scene.views, cameras=scene.cameras).select(views), scene.attributes.color[:, views]
         scene = replace(colors_alone(chosen, color), gaussians=scene.gaussians)
     color = stylizer.branch(scene, embedding).color[0]  # V H W 3 K
     return scene, rgb_from_constant(color[..., 0]).clamp_(0, 1).movedim(-1, 1).float()

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from anystyle.contracts import LinearView, Renderer
 from anystyle.errors import UserError
-from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
+from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.cache import LRUCache
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Renders, Scene, Tokens, Views
 
@@ -143,21 +143,6 @@ def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) ->
 def first_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Renders:
     """The render of a view whose colours will be solved for: the linear view is made at once, and kept if it fits."""
     return _System(gaussians.detach(), camera.detach(), renderer).linear(0).render
-
-
-def kept_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Float[Tensor, "3 H W"] | None:
-    """The render of a view by its linear view, if that is kept, as those are that colours were solved for with.
-
-    ``None`` where it is not, and where colours depend on the direction.
-    """
-    try:
-        made = _VIEWS[_views_key(gaussians, camera, renderer)][2][_bytes(camera)[0]]
-    except KeyError:
-        return None
-    if isinstance(made, _Differentiated) or gaussians.harmonics.shape[2] > 1:
-        return None
-    colors = rgb_from_constant(gaussians.harmonics[0, :, 0].detach()).clamp_min(0)
-    return (made(colors) + made.background).clamp(0, 1)
 
 
 def _conjugate_gradients(
@@ -351,7 +336,7 @@ def _bytes(cameras: Cameras) -> list[bytes]:
 def colors_alone(views: Views, color: Float[Tensor, "B V H W 3 K"] | None = None) -> Scene:
     """Views with cameras as ``placement=color`` reads them: colours; no tokens, depth or Gaussians.
 
-    ``color`` are other harmonics of pixels than those of the images.
+    ``color`` are harmonics of pixels to take in place of those of the images.
     """
     if views.cameras is None:
         raise UserError("placement=color encodes views with cameras, and these have none")
@@ -372,3 +357,14 @@ def colors_alone(views: Views, color: Float[Tensor, "B V H W 3 K"] | None = None
         ),
         clusters=None,
     )
+
+
+def with_gaussians(
+    scene: Scene, gaussians: Gaussians, cameras: Cameras, renders: list[Renders], images: Float[Tensor, "1 V 3 H W"]
+) -> Scene:
+    """A scene with given Gaussians: their depth and opacity in its cameras, and the colours of images to be styled."""
+    alpha = torch.cat([render.alpha for render in renders], dim=1)
+    depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
+    color = constant_from_rgb(images.movedim(2, -1))[..., None].to(scene.attributes.color.dtype)
+    geometry, attributes = Geometry(cameras, depth, alpha), replace(scene.attributes, color=color)
+    return replace(scene, geometry=geometry, attributes=attributes, clusters=None, gaussians=gaussians)

@@ -21,7 +21,7 @@ from anystyle.errors import UserError, listing
 from anystyle.geometry.transforms import Similarity, similarity_of_cameras
 from anystyle.io import limits
 from anystyle.io.splats import NEAR, Offset
-from anystyle.methods.colors import KEPT, colors_alone, kept_render
+from anystyle.methods.colors import KEPT, colors_alone
 from anystyle.paths import distinct, file_name
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.provenance import Entry
@@ -165,10 +165,7 @@ class EncodedCapture:
         cameras = self.cameras if cameras is None else cameras
         for start in range(0, cameras.intrinsics.shape[1], RENDER_CHUNK):
             chunk = cameras.select(slice(start, start + RENDER_CHUNK))
-            each = (chunk.select([view]) for view in range(chunk.intrinsics.shape[1]))
-            kept = [kept_render(gaussians, camera, self.stylizer.renderer) for camera in each]
-            known = [image for image in kept if image is not None]
-            yield from known if len(known) == len(kept) else self.stylizer.render(gaussians, chunk).color[0].cpu()
+            yield from self.stylizer.render(gaussians, chunk).color[0].cpu()
 
 
 def encode(given: "ReadViews | ReadSplat", stylizer: Stylizer, options: ViewOptions, stages: Stages) -> EncodedCapture:

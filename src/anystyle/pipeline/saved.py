@@ -19,11 +19,10 @@ from anystyle.data.images import open_image
 from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
-from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
-from anystyle.methods.colors import first_render, pixels_shown
+from anystyle.methods.colors import first_render, pixels_shown, with_gaussians
 from anystyle.methods.simplify import simplified
 from anystyle.paths import short_names
 from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
@@ -35,7 +34,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.ranges import Count
 from anystyle.registry.build import build
 from anystyle.stylizer import Stylizer
-from anystyle.types import Cameras, Gaussians, Geometry, Scene, SourceImage, StyledScene, Views
+from anystyle.types import Cameras, Gaussians, Scene, SourceImage, StyledScene, Views
 from anystyle.vision import weights
 
 _log = logging.getLogger(__name__)
@@ -346,16 +345,6 @@ def scene_of_splat(
 ) -> Scene:
     """The renders of given Gaussians, a batch of one, encoded with known cameras, as a scene that has these."""
     renders = [first_render(gaussians, cameras.select([view]), renderer) for view in range(cameras.intrinsics.shape[1])]
-    images, alpha = (torch.cat([getattr(render, name) for render in renders], dim=1) for name in ("color", "alpha"))
-    depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
-    views = Views(images.clamp(0, 1), cameras)
-    encoded = encode(views)
+    images = torch.cat([render.color for render in renders], dim=1).clamp(0, 1)
     # The colours that are styled are those of the renders, as the encoder saw them.
-    color = constant_from_rgb(views.images.movedim(2, -1))[..., None]
-    return replace(
-        encoded,
-        geometry=Geometry(cameras, depth, alpha),
-        attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
-        clusters=None,
-        gaussians=gaussians,
-    )
+    return with_gaussians(encode(Views(images, cameras)), gaussians, cameras, renders, images)

@@ -98,31 +98,12 @@ def composite(image: Float[Tensor, "B V 5 H W"], background: Sequence[float]) ->
     return Renders(color=(color + transmittance * behind).clamp(0, 1), depth=depth, alpha=1 - transmittance[:, :, 0])
 
 
-class AccumulatedView(LinearView):
-    """A linear view that keeps what was accumulated, and composites it when asked: many views are held at once.
+class KeptView(LinearView):
+    """The Gaussians of one view, projected and listed by tile once, which are blended again for other colours.
 
     Args:
         image: What the view shows: red, green, blue and depth over black, and the transmittance.
         background: A colour in [0, 1].
-    """
-
-    def __init__(self, image: Float[Tensor, "5 H W"], background: Sequence[float]) -> None:
-        self._image, self._behind = image, background
-
-    @property
-    def render(self) -> Renders:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return composite(self._image[None, None], self._behind)
-
-    @property
-    def background(self) -> Float[Tensor, "3 H W"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._image[4] * self._image.new_tensor(list(self._behind))[:, None, None]
-
-
-class KeptView(AccumulatedView):
-    """The Gaussians of one view, projected and listed by tile once, which are blended again for other colours.
-
-    Args:
-        image, background: Of an :class:`AccumulatedView`.
         blend: Colours of all Gaussians over black, differentiable once.
         number: Of these Gaussians.
         kept: What ``blend`` holds in memory.
@@ -136,7 +117,8 @@ class KeptView(AccumulatedView):
         number: int,
         kept: Sequence[Tensor],
     ) -> None:
-        super().__init__(image, background)
+        self.render = composite(image[None, None], background)
+        self.background = image[4] * image.new_tensor(list(background))[:, None, None]
         self._blend, self._none = blend, image.new_zeros(number, 3).requires_grad_()
         with torch.enable_grad():
             self._black = blend(self._none)
