@@ -7,7 +7,7 @@ import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.io.cache import LRUCache
-from anystyle.methods.colors import NEIGHBORS, covering_views, fit_colors
+from anystyle.methods.colors import NEIGHBORS, covering_views, fit_colors, kept_render
 from anystyle.testing.oracle import hashed
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.kernels import Kernels
@@ -211,3 +211,20 @@ def test_some_of_many_gaussians_choose_the_views(monkeypatch):
     chosen = covering_views(scene, views, RENDERER, share=0.9, most=6)
     largest = pixels.amax(0)
     assert (2 * pixels[chosen].amax(0)).minimum(largest).sum() >= (0.9 - 1e-5) * largest.sum()
+
+
+def test_renders_of_solved_colors_come_from_the_views_that_they_were_solved_with():
+    scene, views = small_scene()
+    targets = torch.rand(4, 3, 24, 32, generator=torch.Generator().manual_seed(0))
+    solved = fit_colors(scene, views, targets, RENDERER)
+    for view in range(4):
+        rendered = kept_render(solved, views.select([view]), RENDERER)
+        assert rendered is not None
+        torch.testing.assert_close(rendered, RENDERER(solved, views.select([view])).color[0, 0], rtol=0, atol=1e-4)
+    others = (
+        replace(solved, means=solved.means.clone()),
+        replace(solved, harmonics=solved.harmonics.repeat(1, 1, 4, 1)),
+    )
+    assert all(kept_render(other, views.select([0]), RENDERER) is None for other in others)
+    assert kept_render(solved, views.select([0]).resized((12, 16)), RENDERER) is None
+    assert kept_render(solved, views.select([0]), CpuRenderer()) is None

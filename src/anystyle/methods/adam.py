@@ -48,10 +48,11 @@ class Adam:
 
     def state_dict(self) -> dict[str, Any]:
         """All that is needed to resume; ``torch.save`` can write it."""
-        values = {name: value.detach() for name, value in self.parameters.items()}
-        return {"parameters": values, "moments": self.moments, "steps": self.steps}
+        return {"parameters": {**self.parameters}, "moments": self.moments, "steps": self.steps}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore the result of :meth:`state_dict`; the number of rows may differ."""
-        self.parameters |= {name: value.clone().requires_grad_() for name, value in state["parameters"].items()}
+        self.parameters |= {
+            name: value.detach().clone().requires_grad_() for name, value in state["parameters"].items()
+        }
         self.moments, self.steps = state["moments"], state["steps"]

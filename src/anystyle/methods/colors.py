@@ -1,6 +1,7 @@
 """Colours of given Gaussians for given pictures, by least squares: a render is linear in its colours."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from anystyle.contracts import LinearView, Renderer
 from anystyle.errors import UserError
-from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.io.cache import LRUCache
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Renders, Scene, Tokens, Views
 
@@ -143,6 +144,18 @@ def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) ->
 def first_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Renders:
     """The render of a view whose colours will be solved for: the linear view is made at once, and kept if it fits."""
     return _System(gaussians.detach(), camera.detach(), renderer).linear(0).render
+
+
+def kept_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Float[Tensor, "3 H W"] | None:
+    """The render of a view by its linear view, if that is kept, as those are that colours were solved for with.
+
+    ``None`` where it is not, and where colours depend on the direction.
+    """
+    with suppress(KeyError):
+        made = _VIEWS[_views_key(gaussians, camera, renderer)][2][_bytes(camera)[0]]
+        if gaussians.harmonics.shape[2] == 1 and not isinstance(made, _Differentiated):
+            return (made(rgb_from_constant(gaussians.harmonics[0, :, 0]).clamp_min(0)) + made.background).clamp(0, 1)
+    return None
 
 
 def _conjugate_gradients(
@@ -313,8 +326,7 @@ def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _Syst
 
 def _identity(system: _System) -> tuple[object, ...]:
     gaussians, cameras = system.gaussians, system.cameras
-    places = _places(*vars(gaussians).values())
-    return (type(gaussians), *places, *system._keys, cameras.size, id(system.renderer))
+    return (type(gaussians), *_places(*vars(gaussians).values()), *system._keys, cameras.size, id(system.renderer))
 
 
 def _views_key(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> tuple[object, ...]:
@@ -340,20 +352,17 @@ def colors_alone(views: Views, color: Float[Tensor, "B V H W 3 K"] | None = None
     """
     if views.cameras is None:
         raise UserError("placement=color encodes views with cameras, and these have none")
-    images, cameras = views.images, views.cameras
-    batch, number, _, height, width = images.shape
-    pixels = images.new_zeros(batch, number, height, width)
-    rotation = torch.tensor([1.0, 0.0, 0.0, 0.0]).to(images).expand(*pixels.shape, 4)
+    pixels = torch.zeros_like(views.images[:, :, 0])
     return Scene(
         views=views,
-        stem=Tokens(images.new_zeros(batch, number, 0, 0), grid=(0, 0)),
+        stem=Tokens(pixels.new_zeros(*pixels.shape[:2], 0, 0), grid=(0, 0)),
         features={},
-        geometry=Geometry(cameras, pixels, pixels),
+        geometry=Geometry(views.cameras, pixels, pixels),
         attributes=Attributes(
             opacity=pixels,
             scale=pixels[..., None].expand(*pixels.shape, 3),
-            rotation=rotation,
-            color=constant_from_rgb(images.movedim(2, -1))[..., None] if color is None else color,
+            rotation=torch.tensor([1.0, 0.0, 0.0, 0.0]).to(pixels).expand(*pixels.shape, 4),
+            color=constant_from_rgb(views.images.movedim(2, -1))[..., None] if color is None else color,
         ),
         clusters=None,
     )

@@ -21,7 +21,7 @@ from anystyle.errors import UserError, listing
 from anystyle.geometry.transforms import Similarity, similarity_of_cameras
 from anystyle.io import limits
 from anystyle.io.splats import NEAR, Offset
-from anystyle.methods.colors import KEPT, colors_alone
+from anystyle.methods.colors import KEPT, colors_alone, kept_render
 from anystyle.paths import distinct, file_name
 from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.provenance import Entry
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from anystyle.pipeline.saved import ReadSplat
 
 _log = logging.getLogger(__name__)
-RENDER_CHUNK = 4
-"""Views rendered together."""
 BYTES, BYTES_A_PIXEL = 800, 250
 """Memory that restyling takes: of each Gaussian of degree 3, and of each pixel of the views, with renderer=cpu."""
 SEEN = 0.01
@@ -163,9 +161,9 @@ class EncodedCapture:
     def render(self, gaussians: Gaussians, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:
         """Render views one by one, on the CPU; the input views unless cameras are given."""
         cameras = self.cameras if cameras is None else cameras
-        for start in range(0, cameras.intrinsics.shape[1], RENDER_CHUNK):
-            chunk = cameras.select(slice(start, start + RENDER_CHUNK))
-            yield from self.stylizer.render(gaussians, chunk).color[0].cpu()
+        for camera in (cameras.select([view]) for view in range(cameras.intrinsics.shape[1])):
+            kept = kept_render(gaussians, camera, self.stylizer.renderer)
+            yield (self.stylizer.render(gaussians, camera).color[0, 0] if kept is None else kept).cpu()
 
 
 def encode(given: "ReadViews | ReadSplat", stylizer: Stylizer, options: ViewOptions, stages: Stages) -> EncodedCapture:
@@ -192,14 +190,14 @@ def encode(given: "ReadViews | ReadSplat", stylizer: Stylizer, options: ViewOpti
 
 def _encode_splat(given: "ReadSplat", stylizer: Stylizer, stages: Stages) -> EncodedCapture:
     """Given Gaussians with the features of their renders."""
-    from anystyle.pipeline.saved import scene_of_splat
+    from anystyle.pipeline.saved import splat_scene
 
     start = time.perf_counter()
     line = require_splat(given.gaussians.means.shape[1], given.cameras, stylizer.device)
     where = "stored beside it" if given.origin == "stored" else "chosen around the scene"
     with stages("encode", f"{line}; cameras {where}"):
         gaussians, cameras = given.gaussians.to(stylizer.device), given.cameras.to(stylizer.device)
-        scene = scene_of_splat(gaussians, cameras, stylizer.renderer, encoder(stylizer))
+        scene = splat_scene(gaussians, cameras, stylizer.renderer, encoder(stylizer))
     _tell_blind(scene.geometry.confidence[0], given.sources)
     return EncodedCapture(
         stylizer,

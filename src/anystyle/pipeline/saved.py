@@ -340,9 +340,7 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
 
 
 @torch.no_grad()
-def scene_of_splat(
-    gaussians: Gaussians, cameras: Cameras, renderer: Renderer, encode: Callable[[Views], Scene]
-) -> Scene:
+def splat_scene(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, encode: Callable[[Views], Scene]) -> Scene:
     """The renders of given Gaussians, a batch of one, encoded with known cameras, as a scene that has these."""
     renders = [first_render(gaussians, cameras.select([view]), renderer) for view in range(cameras.intrinsics.shape[1])]
     images = torch.cat([render.color for render in renders], dim=1).clamp(0, 1)
