@@ -115,10 +115,7 @@ def _step(motion: Rigid, matches: MatchedPoints, scale: float) -> Rigid:
 
 
 def _moved(
-    motion: Rigid,
-    jacobian: Float[Tensor, "M P 2 6"],
-    residual: Float[Tensor, "M P 2"],
-    weight: Float[Tensor, "M P"],
+    motion: Rigid, jacobian: Float[Tensor, "M P 2 6"], residual: Float[Tensor, "M P 2"], weight: Float[Tensor, "M P"]
 ) -> Rigid:
     """The motion after a damped Gauss-Newton step on its left."""
     weighted = jacobian * weight[..., None, None]

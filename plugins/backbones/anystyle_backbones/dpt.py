@@ -206,9 +206,7 @@ class Dpt(DptTrunk):
         self.width = features // 2
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
         self.output = nn.Sequential(
-            nn.Conv2d(features // 2, hidden, 3, padding=1),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(hidden, outputs, 1),
+            nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(hidden, outputs, 1)
         )
 
     def decode(

@@ -33,8 +33,8 @@ from anystyle_captures.poses import report
 from anystyle_captures.sky import without_sky
 from anystyle_captures.start import GivenGaussians, read_start
 from anystyle_captures.stereo import plane_sweep
-from anystyle_captures.trials import try_refinement
-from anystyle_captures.twins import groups, held_out
+from anystyle_captures.trials import try_dropout, try_refinement
+from anystyle_captures.twins import groups, held_out, to_try
 from anystyle_methods.order import canonical_order
 
 logger = logging.getLogger(__name__)
@@ -49,10 +49,10 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "draft": Preset(256, 20_000, FitOptions(num_steps=300, final_steps=50, scale_weight=0.001)),
-    "good": Preset(384, 40_000, FitOptions(num_steps=600, final_steps=100, scale_weight=0.001)),
-    "best": Preset(768, 120_000, FitOptions(num_steps=1350, final_steps=200, scale_weight=0.001)),
-    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=2700, final_steps=400, scale_weight=0.001)),
+    "draft": Preset(256, 20_000, FitOptions(num_steps=300, final_steps=50, scale_weight=0.0004)),
+    "good": Preset(384, 40_000, FitOptions(num_steps=600, final_steps=100, scale_weight=0.0004)),
+    "best": Preset(768, 120_000, FitOptions(num_steps=1350, final_steps=200, scale_weight=0.0004)),
+    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=2700, final_steps=400, scale_weight=0.0004)),
 }
 """Photographs are not enlarged, so that ``full`` is their own size."""
 STEREO_SIDE = 256
@@ -170,6 +170,7 @@ class Fit(Reconstruction):
                 points=points,
                 start=start,
                 heldout=heldout,
+                unseen=to_try(photographs, heldout, views.cameras),
                 masks=masks,
                 state=self.state,
                 keep=self.keep,
@@ -193,7 +194,7 @@ class Fit(Reconstruction):
                 ", ".join(shares),
             )
         measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
-        measures |= {"train_psnr": result.train_psnr, "unexplained": usual}
+        measures |= {"train_psnr": result.train_psnr, "unexplained": usual, "dropout": result.dropout}
         found = {"kept": float(result.cached), "twins": float(views.images.shape[1] - len(photographs))}
         measures |= {name: value for name, value in found.items() if value}
         heldout = {} if result.heldout is None else result.heldout._asdict()
@@ -250,6 +251,7 @@ def fit_photographs(
     points: Sequence[Float[Tensor, "_ 3"]] | None = None,
     start: GivenGaussians | None = None,
     heldout: Sequence[int] = (),
+    unseen: Sequence[int] = (),
     masks: Masks | None = None,
     state: Path | None = None,
     keep: bool = False,
@@ -258,24 +260,26 @@ def fit_photographs(
     """Fit Gaussians to photographs: initial ones by stereo, or those given, then all their attributes by renders.
 
     The same photographs give the same Gaussians, bit for bit, in whatever order they are given.
+
+    ``heldout`` views are for the final steps alone; ``unseen`` ones, if any, are left out of a trial beforehand.
     """
     order = canonical_order(images)
     images, cameras = images[order], cameras.select(order)
     points = None if points is None else [points[view] for view in order]
     masks = None if masks is None else masks.select(order)
-    hidden = tuple(sorted(order.index(view) for view in heldout))
+    hidden, tried = (tuple(sorted(order.index(view) for view in views)) for views in (heldout, unseen))
     settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple))}
     masked = () if masks is None else (masks.alpha, masks.valid)
     given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
     begun = () if start is None else vars(start.given).values()
-    key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings, *masked, *begun)
+    key = key_of(*given, num_gaussians, options, hidden, tried, type(renderer).__name__, settings, *masked, *begun)
 
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
         initial = partial(_initial, images, points, masks, num_gaussians, options.seed)
 
-        def begin(cameras: Cameras, first: InitialScene, options: FitOptions) -> FitLoop:
-            return FitLoop(images, cameras, first, renderer, options, heldout=hidden, masks=masks)
+        def begin(cameras: Cameras, first: InitialScene, options: FitOptions, *unseen: int) -> FitLoop:
+            return FitLoop(images, cameras, first, renderer, options, heldout=hidden + unseen, masks=masks)
 
         written = None if state is None else _written(state, key, images.device)
         posed = cameras if written is None else replace(cameras, **written["given"])
@@ -287,6 +291,8 @@ def fit_photographs(
         given = posed, first, options
         if options.refine != "none" and written is None:
             given = try_refinement(*given, begin, lambda found: initial(found, training))
+        if written is None and start is None and tried:
+            given = try_dropout(*given, begin, tried)
         loop = begin(*given)
         if state is None:
             return loop.run(on_progress).as_dict()
@@ -301,11 +307,8 @@ def fit_photographs(
     result = FitResult.from_dict(values, images.device)
     # Back to the order given.
     back = torch.tensor(order, device=images.device).argsort()
-    by_view = {
-        name: getattr(result, name)[back]
-        for name in ("gains", "biases", "unexplained", "world_from_camera", "intrinsics")
-    }
-    return replace(result, **by_view, cached=from_cache)
+    of_views = ("gains", "biases", "unexplained", "world_from_camera", "intrinsics")
+    return replace(result, **{name: getattr(result, name)[back] for name in of_views}, cached=from_cache)
 
 
 def _write_state(loop: FitLoop, path: Path, key: str) -> None:
@@ -341,14 +344,10 @@ def _initial(
     seen: Sequence[int],
 ) -> InitialScene:
     """Gaussians at pixels of the views ``seen``, by their stereo, on the device of the images."""
-    height, width = images.shape[-2:]
-    ratio = max(1.0, min(height, width) / STEREO_SIDE)
-    size = (round(height / ratio), round(width / ratio))
-    chosen = interpolate(images[list(seen)].cpu(), size=size, mode="area")
-    posed = cameras.select(list(seen)).to("cpu").resized(size)
+    chosen, posed = for_stereo(images[list(seen)], cameras.select(list(seen)))
     shown, valid = None if points is None else [points[view].cpu() for view in seen], None
     if masks is not None:
-        smaller = masks.select(seen).resized(size)
+        smaller = masks.select(seen).resized(posed.size)
         chosen, valid = smaller.straight(chosen.to(images)).cpu(), smaller.measured.cpu()
     stereo = without_sky(chosen, posed, plane_sweep(chosen, posed, points=shown, valid=valid))
     generator = torch.Generator().manual_seed(seed)
@@ -358,9 +357,18 @@ def _initial(
     share = BEHIND + IN_SKY * float(stereo.depth.isposinf().double().mean())
     behind = backdrop(chosen, posed, stereo, num_gaussians=math.ceil(share * num_gaussians), generator=generator)
     initial = InitialGaussians.cat([surfaces, behind])
-    initial = replace(initial, footprints=initial.footprints * size[1] / width)
+    view, y, x = initial.pixels.unbind(1)
+    pixels = torch.stack([torch.tensor(seen)[view], y, x], dim=1)
+    initial = replace(initial, footprints=initial.footprints * posed.size[1] / cameras.size[1], pixels=pixels)
     confirmed = float((stereo.support > 0).double().mean())
     return InitialScene(initial.to(images.device), FreeSpace.of(stereo, posed).to(images.device), confirmed)
+
+
+def for_stereo(images: Float[Tensor, "V 3 H W"], cameras: Cameras) -> tuple[Float[Tensor, "V 3 h w"], Cameras]:
+    """Photographs as large as stereo reads them, and their cameras, on the processor."""
+    ratio = max(1.0, min(cameras.size) / STEREO_SIDE)
+    size = (round(cameras.size[0] / ratio), round(cameras.size[1] / ratio))
+    return interpolate(images.cpu(), size=size, mode="area"), cameras.to("cpu").resized(size)
 
 
 @torch.no_grad()

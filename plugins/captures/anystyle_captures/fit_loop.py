@@ -94,6 +94,7 @@ class FitResult:
     heldout: Quality | None  # before the final steps
     world_from_camera: Float[Tensor, "V 4 4"]  # as refined
     intrinsics: Float[Tensor, "V 3 3"]
+    dropout: float
     aligned_psnr: float | None = None  # of the views held out, once their cameras were refined, too
     cached: bool = False
 
@@ -355,7 +356,7 @@ class FitLoop:
             unlike[view], fitted[view] = unexplained(*given)[0], psnr(*given)[0]
         posed = self.cameras.world_from_camera[0], self.cameras.intrinsics[0]
         scene = self.gaussians().detach(), 1 + gains, biases, self.step, float(fitted.nanmean()), unlike
-        return FitResult(*scene, self.quality, *posed, self.aligned_psnr)
+        return FitResult(*scene, self.quality, *posed, self.options.dropout, self.aligned_psnr)
 
     @property
     def last_step(self) -> int:
@@ -410,6 +411,14 @@ class FitLoop:
         renders = torch.cat([self.render(view) for view in views])
         return quality_of(renders, self.images[views], self._measured(views))
 
+    def dissimilarity(self, views: Sequence[int]) -> float:
+        """The mean of 1 - SSIM of grey values over views at half the resolution, where they are measured."""
+        cameras, photographs = self.cameras.resized(self.half_size), self.half_images[list(views)]
+        shown = torch.cat([self.render(view, cameras.select([view])) for view in views])
+        if self.half_masks is not None:
+            shown = torch.where(self.half_masks.select(views).measured[:, None], shown, photographs)
+        return float(photometric_loss(shown, photographs, dssim=1.0))
+
     def _measured(self, views: list[int]) -> Bool[Tensor, "M H W"]:
         everywhere = torch.ones_like(self.images[views, 0], dtype=torch.bool)
         return everywhere if self.masks is None else self.masks.select(views).measured
@@ -429,20 +438,20 @@ class FitLoop:
             "generator": self.generator.get_state(),
             "step": self.step,
             "training": self.training,
+            "dropout": self.options.dropout,
             "order": self.order,
             "sums": self.sums,
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.adam.state_dict(),
             "quality": self.quality and tuple(self.quality),
             "aligned_psnr": self.aligned_psnr,
-            "nearest": self.nearest,
             "given": {name: getattr(self.given, name) for name in ("world_from_camera", "intrinsics")},
-            "free_space": self.free_space and (self.free_space.surfaces, *vars(self.free_space.cameras).values()),
             "refined": self.refined and self.refined.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.generator.set_state(state["generator"])
+        self.options = replace(self.options, dropout=state["dropout"])
         self.training = list(state["training"])
         self.step, self.order = state["step"], list(state["order"])
         self.sums = dict(state["sums"])
@@ -450,11 +459,7 @@ class FitLoop:
         self.exposures.adam.load_state_dict(state["exposures"])
         self.exposures.train(self.training)
         self.quality = state["quality"] and Quality(*state["quality"])
-        self.aligned_psnr, self.nearest = state["aligned_psnr"], state["nearest"]
-        self.free_space = None
-        if state["free_space"] is not None:
-            surfaces, *cameras = state["free_space"]
-            self.free_space = FreeSpace(surfaces, Cameras(*cameras))
+        self.aligned_psnr = state["aligned_psnr"]
         if state["refined"] is None:
             self.refined = None
         elif self.refined is not None:

@@ -81,9 +81,7 @@ def match_colors(
 
 
 def unexplained(
-    images: Float[Tensor, "M 3 H W"],
-    targets: Float[Tensor, "M 3 H W"],
-    measured: Bool[Tensor, "M H W"] | None = None,
+    images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"], measured: Bool[Tensor, "M H W"] | None = None
 ) -> Float[Tensor, " M"]:
     """The share of each pair's pixels around which it differs by more than :data:`LARGE`, on average over a window.
 

@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from math import isnan, nan
 from pathlib import Path
@@ -36,14 +37,13 @@ from anystyle.types import Comparison, OnProgress, Progress, Scene, Style, Views
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
 from anystyle_captures.camera_files.samples import write_wall
-from anystyle_captures.fit import STEREO_SIDE, Fit, QualityLevel, fit_photographs, scene_of_fit
+from anystyle_captures.fit import Fit, QualityLevel, fit_photographs, for_stereo, scene_of_fit
 from anystyle_captures.masks import Masks
 from anystyle_captures.median_depth import median_depth
 from anystyle_captures.photometric import quality_of
-from anystyle_captures.poses import report
 from anystyle_captures.stereo import plane_sweep
 from anystyle_captures.structure_from_motion import StructureFromMotion
-from anystyle_captures.twins import groups, held_out
+from anystyle_captures.twins import groups, held_out, to_try
 from anystyle_methods.projection import stylized_views
 from anystyle_methods.scene_loop import color_map
 
@@ -66,7 +66,6 @@ class _Result(NamedTuple):
     renders: Float[Tensor, "V 3 H W"]
     scene: Scene
     num_gaussians: int
-    refined: Mapping[str, float] = {}
 
 
 class Captures(Protocol):
@@ -220,7 +219,8 @@ class Captures(Protocol):
         measured = None if masks is None else masks.select(chosen).measured
         scores: dict[str, Mapping[str, float]] = {}
         styles, warned = dict[str, dict[str, dict[str, float]]](), list[str]()
-        for kind, reconstruct in (("fit", self._fit), ("feedforward", self._feedforward)):
+        fit = partial(self._fit, unseen=to_try(different, chosen, views.cameras))
+        for kind, reconstruct in (("fit", fit), ("feedforward", self._feedforward)):
             start = time.process_time()
             try:
                 result = reconstruct(views, points, chosen)
@@ -231,7 +231,7 @@ class Captures(Protocol):
                 continue
             spent = round(time.process_time() - start, 1)
             scores[kind] = self._quality(result.renders, photographs, measured)
-            costs[kind] = {"cpu_seconds": spent, "num_gaussians": result.num_gaussians, **result.refined}
+            costs[kind] = {"cpu_seconds": spent, "num_gaussians": result.num_gaussians}
             if kind == "fit" and self.metrics:
                 start = time.process_time()
                 judged, styles, warned = self._stylized(views, points, result.scene, path.stem, folder)
@@ -280,7 +280,7 @@ class Captures(Protocol):
         renders = [self.stylizer.render(gaussians, placed.select([view])).color[0] for view in chosen]
         return _Result(torch.cat(renders).cpu(), scene, int((gaussians.opacities > 0).sum()))
 
-    def _fit(self, views: Views, points: Sequence[Tensor] | None, chosen: list[int]) -> _Result:
+    def _fit(self, views: Views, points: Sequence[Tensor] | None, chosen: list[int], unseen: Sequence[int]) -> _Result:
         """Gaussians fitted to the other views; no step sees those held out."""
         views = views.to(self.stylizer.device)
         assert views.cameras is not None
@@ -294,16 +294,14 @@ class Captures(Protocol):
             options=replace(options, final_steps=0),
             points=points,
             heldout=chosen,
+            unseen=unseen,
             masks=masks,
             keep=True,
         )
         with torch.no_grad():
             exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masks is not None)
-            refined = result.cameras(views.size)
-            measures = report(views.cameras, refined, result.aligned_psnr) if options.refine != "none" else {}
-            views = replace(views, cameras=refined)
             scene = scene_of_fit(views, encoder(self.stylizer)(views), result, self.stylizer.renderer)
-        return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1], measures)
+        return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1])
 
     @torch.no_grad()
     def _quality(
@@ -361,10 +359,8 @@ class Captures(Protocol):
 
     def _depth(self, views: Views, scene: Scene, points: Sequence[Tensor] | None) -> Float[Tensor, "1 V H W"]:
         """Depth by stereo where another photograph confirms it, elsewhere of the fit if asked for, or else 0."""
-        ratio, fitted = max(1.0, min(views.size) / STEREO_SIDE), self.stylizer.unstyled(scene)
-        size = (round(views.size[0] / ratio), round(views.size[1] / ratio))
-        small = interpolate(views.images[0].cpu(), size=size, mode="area")
-        stereo = plane_sweep(small, scene.cameras.to("cpu").resized(size), points=points)
+        fitted = self.stylizer.unstyled(scene)
+        stereo = plane_sweep(*for_stereo(views.images[0], scene.cameras), points=points)
         known = torch.where((stereo.support > 0) & stereo.depth.isfinite(), stereo.depth, 0)[None]
         known = interpolate(known, views.size, mode="nearest-exact").to(fitted.means)
         if not self.fill_depth:

@@ -94,11 +94,7 @@ def _rays(cameras: Cameras, view: int) -> Float[Tensor, "P 3"]:
 
 
 def _votes(
-    rays: Float[Tensor, "P 3"],
-    view: int,
-    cameras: Cameras,
-    far: Bool[Tensor, "V H W"],
-    agreed: Bool[Tensor, "V H W"],
+    rays: Float[Tensor, "P 3"], view: int, cameras: Cameras, far: Bool[Tensor, "V H W"], agreed: Bool[Tensor, "V H W"]
 ) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
     """How many other views find something far in the directions of a view, and how many see whether it is."""
     others = [other for other in range(len(far)) if other != view]

@@ -21,14 +21,7 @@ from anystyle.types import Cameras, OnProgress, Original, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.panorama import Cut, cut_of
 from anystyle_captures.sfm.colmap import search
-from anystyle_captures.sfm.model import (
-    MIN_VIEWS,
-    SEARCHES,
-    Photograph,
-    SearchOptions,
-    SimpleRadial,
-    SparseModel,
-)
+from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Photograph, SearchOptions, SimpleRadial, SparseModel
 from anystyle_captures.sfm.trust import judge
 from anystyle_methods.order import canonical_order
 
@@ -50,13 +43,7 @@ class StructureFromMotion(PoseEstimator):
         self.keep = keep
 
     def __call__(
-        self,
-        originals: Sequence[Original],
-        *,
-        short_side: int,
-        multiple: int,
-        enlarge: bool,
-        on_progress: OnProgress,
+        self, originals: Sequence[Original], *, short_side: int, multiple: int, enlarge: bool, on_progress: OnProgress
     ) -> PosedViews | Verdict:
         """Find cameras in the frame of the most central one, whose median point lies at depth 1."""
         cut, originals = cut_of(originals)

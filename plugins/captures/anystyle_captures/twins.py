@@ -73,3 +73,8 @@ def held_out(photographs: Sequence[Sequence[int]], every: int, cameras: Cameras 
             places.append(list(group)) if place is None else place.extend(group)
     chosen = places[every // 2 :: every] if 0 < every <= len(places) else []
     return tuple(sorted(view for group in chosen for view in group))
+
+
+def to_try(photographs: Sequence[Sequence[int]], heldout: Sequence[int], cameras: Cameras) -> tuple[int, ...]:
+    """Every second of the others, for a trial that does not see them."""
+    return held_out([group for group in photographs if group[0] not in heldout], 2, cameras)

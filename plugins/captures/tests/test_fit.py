@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch.nn.functional import pad
+from torch.nn.functional import interpolate, pad
 
 from anystyle.renderers.auto import AutoRenderer
 from anystyle_captures import fit as captures_fit
@@ -106,6 +106,26 @@ def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, whole, tmp_pat
     for name, value in vars(whole.gaussians).items():
         assert torch.equal(value, getattr(resumed.gaussians, name)), name
     assert whole.heldout == resumed.heldout and torch.equal(whole.gains, resumed.gains)
+
+
+def test_photographs_that_do_not_teach_each_other_leave_more_gaussians_out(photographs, tmp_path):
+    """A trial that sees every second photograph tells; a fit that was broken off goes on with what it told."""
+    images, cameras, points = photographs
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.rand(len(images), 1, images.shape[-2] // 4, images.shape[-1] // 4, generator=generator)
+    spoiled = (images + interpolate(noise, images.shape[-2:]) - 0.5).clamp(0, 1), cameras, points
+    unseen = 1, 3, 6, 8
+    assert fit(photographs, unseen=unseen).dropout == OPTIONS.dropout
+    assert fit(spoiled).dropout == OPTIONS.dropout
+    whole = fit(spoiled, unseen=unseen)
+    assert whole.dropout > 2 * OPTIONS.dropout
+
+    def stop(progress):
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        fit(spoiled, unseen=unseen, state=tmp_path / "state", on_progress=stop)
+    assert fit(spoiled, unseen=unseen, state=tmp_path / "state").heldout == whole.heldout
 
 
 def test_a_file_that_is_no_state_is_left_as_it_is(photographs, tmp_path):

@@ -11,7 +11,7 @@ from PIL import Image
 
 from anystyle.data.images import open_image, to_tensor
 from anystyle.examples import resolved
-from anystyle_captures.twins import groups, held_out
+from anystyle_captures.twins import groups, held_out, to_try
 from tests.support.known_scene import photographed_wall, rig
 
 SIZE = (192, 144)
@@ -59,6 +59,10 @@ def test_pictures_that_are_alike_from_different_places_are_no_twins():
 @pytest.mark.parametrize(("number", "every", "expected"), [(24, 8, (4, 12, 20)), (8, 8, (4,)), (7, 8, ()), (24, 0, ())])
 def test_every_so_many_th_view_is_held_out(number, every, expected):
     assert held_out([[view] for view in range(number)], every) == expected
+
+
+def test_a_trial_leaves_every_second_of_the_others_out_and_twins_together():
+    assert to_try([[0], [1, 5], [2], [3], [4]], (2,), rig(6)) == (1, 4, 5)
 
 
 def test_the_same_photographs_are_held_out_in_any_order():

@@ -22,10 +22,7 @@ HEADS = ("downstream_head1.", "downstream_head2.", "gaussian_param_head.", "gaus
 PARTS = ("backbone.", "token_stylizer.", "gaussian_appearance_head.", *HEADS)
 OTHERS = ("structure_builder.", "gaussian_structure_head.")
 """Parts of another network of the same repository, which its own code does not run."""
-MARKS = (
-    "token_stylizer.dec_blocks.0.cross_attn.projq.weight",
-    "backbone.dec_blocks2.0.cross_attn.projq.weight",
-)
+MARKS = ("token_stylizer.dec_blocks.0.cross_attn.projq.weight", "backbone.dec_blocks2.0.cross_attn.projq.weight")
 """Tensors that no other network has."""
 SECOND = tuple((rf"\.scratch\.layer_rn\.{level}\.", f".scratch.layer{level + 1}_rn.") for level in range(4))
 """From second names of tensors to the first."""
@@ -59,10 +56,7 @@ _RULES = (
     (r"\.dpt\.output\.0\.", ".dpt.head.0."),
     (r"\.dpt\.direct\.", ".dpt.input_merger.0."),
 )
-_BRANCH = (
-    (r"^aggregator\.", "gaussian_head.stylizer."),
-    (r"^gaussian_head\.dpt\.", "gaussian_head.color.dpt."),
-)
+_BRANCH = ((r"^aggregator\.", "gaussian_head.stylizer."), (r"^gaussian_head\.dpt\.", "gaussian_head.color.dpt."))
 """From names of the style branch to those of what it copies."""
 _STYLE_ENCODER = ((r"^encoder\.", "gaussian_head.style_encoder."),)
 _OWN = {"backbone": (), "branch": _BRANCH, "style_encoder": _STYLE_ENCODER}

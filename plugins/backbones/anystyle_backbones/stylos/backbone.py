@@ -107,12 +107,7 @@ class Stylos(AnySplat):
             nn.Conv2d(3, dpt.width, 7, padding=3), nn.ReLU(inplace=True), nn.Conv2d(dpt.width, dpt.width, 3, padding=1)
         )
         style_aggregator = StyleAggregator(
-            dim,
-            heads,
-            depth=style_depth,
-            order=style_order,
-            taps=style_taps,
-            checkpointing=checkpointing,
+            dim, heads, depth=style_depth, order=style_order, taps=style_taps, checkpointing=checkpointing
         )
         style_dpt = decoder(dim=2 * dim if style_order == "hybrid" else dim, outputs=4)
         features = direct if image_features else None
