@@ -49,10 +49,10 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "draft": Preset(256, 20_000, FitOptions(num_steps=300, final_steps=50, scale_weight=0.0004)),
-    "good": Preset(384, 40_000, FitOptions(num_steps=600, final_steps=100, scale_weight=0.0004)),
-    "best": Preset(768, 120_000, FitOptions(num_steps=1350, final_steps=200, scale_weight=0.0004)),
-    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=2700, final_steps=400, scale_weight=0.0004)),
+    "draft": Preset(256, 20_000, FitOptions(num_steps=300, final_steps=50, scale_weight=0.001)),
+    "good": Preset(384, 40_000, FitOptions(num_steps=600, final_steps=100, scale_weight=0.001)),
+    "best": Preset(768, 120_000, FitOptions(num_steps=1350, final_steps=200, scale_weight=0.001)),
+    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=2700, final_steps=400, scale_weight=0.001)),
 }
 """Photographs are not enlarged, so that ``full`` is their own size."""
 STEREO_SIDE = 256
