@@ -291,7 +291,8 @@ def fit_photographs(
         given = posed, first, options
         if options.refine != "none" and written is None:
             given = try_refinement(*given, begin, lambda found: initial(found, training))
-        if written is None and start is None and tried:
+        taught = [view for view in training if view not in tried and (masks is None or masks.measured[view].any())]
+        if written is None and start is None and tried and taught:
             given = try_dropout(*given, begin, tried)
         loop = begin(*given)
         if state is None:

@@ -53,6 +53,16 @@ def test_nothing_is_built_where_photographs_are_transparent(photographs):
     assert (shown - images.movedim(1, -1)[edge] * alpha[edge][:, None]).mean() < 0.1
 
 
+def test_a_trial_that_would_see_nothing_is_left_out(photographs):
+    images, cameras, _ = photographs
+    valid = torch.ones(images[:, 0].shape, dtype=torch.bool)
+    valid[::2] = False
+    masks = Masks(torch.ones_like(images[:, 0]), valid)
+    given = {"num_gaussians": 900, "options": OPTIONS, "masks": masks}
+    tried = fit_photographs(images, cameras, RENDERER, unseen=(1, 3, 5, 7), **given)
+    assert torch.equal(tried.gaussians.means, fit_photographs(images, cameras, RENDERER, **given).gaussians.means)
+
+
 def test_what_is_ignored_is_neither_learnt_nor_measured_and_other_photographs_fill_it(photographs):
     """A red figure stands elsewhere in each photograph."""
     images, cameras, _ = photographs
