@@ -413,11 +413,13 @@ class FitLoop:
 
     def dissimilarity(self, views: Sequence[int]) -> float:
         """The mean of 1 - SSIM of grey values over views at half the resolution, where they are measured."""
-        cameras, photographs = self.cameras.resized(self.half_size), self.half_images[list(views)]
-        shown = torch.cat([self.render(view, cameras.select([view])) for view in views])
-        if self.half_masks is not None:
-            shown = torch.where(self.half_masks.select(views).measured[:, None], shown, photographs)
-        return float(photometric_loss(shown, photographs, dssim=1.0))
+        total, cameras = 0.0, self.cameras.resized(self.half_size)
+        for view in views:
+            shown, photograph = self.render(view, cameras.select([view])), self.half_images[view, None]
+            if self.half_masks is not None:
+                shown = torch.where(self.half_masks.measured[view], shown, photograph)
+            total += float(photometric_loss(shown, photograph, dssim=1.0))
+        return total / len(views)
 
     def _measured(self, views: list[int]) -> Bool[Tensor, "M H W"]:
         everywhere = torch.ones_like(self.images[views, 0], dtype=torch.bool)

@@ -19,7 +19,7 @@ MOVED, BETTER = 0.0017, 1.02
 must agree by them, or else they are kept as they were. 0.0017 are 0.1 degrees."""
 STEPS = 60
 """Of the trial that tells whether a scene is overfitted. It sees half of the photographs."""
-LEAST_GAP, LARGEST_GAP, MAX_DROPOUT = 0.11, 0.16, 0.45
+LEAST_GAP, LARGEST_GAP, MAX_DROPOUT = 0.11, 0.16, 0.3
 """By how much the SSIM of the other half is lower, at half the resolution, where it begins to be, and where it surely
 is; the fraction of the Gaussians that steps leave out then."""
 
@@ -71,7 +71,7 @@ def try_dropout(
         loop.advance()
     gap = loop.dissimilarity(unseen) - loop.dissimilarity(loop.training)
     share = min(max((gap - LEAST_GAP) / (LARGEST_GAP - LEAST_GAP), 0.0), 1.0)
-    options = replace(options, dropout=options.dropout + share * (MAX_DROPOUT - options.dropout))
+    options = replace(options, dropout=(1 - share) * options.dropout + share * MAX_DROPOUT)
     told = f"photographs that {loop.step} steps did not see have an SSIM lower by {gap:.2f}"
     logger.info("%s: steps leave out %.0f%% of the Gaussians", told, 100 * options.dropout)
     return cameras, start, options
