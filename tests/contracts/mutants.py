@@ -170,6 +170,12 @@ class MixedStyles(ToyInjector):
         return super().forward(tokens, style - 0.5 * style.mean(0, keepdim=True))
 
 
+class Slopes(ToyLoss):
+    def forward(self, result):
+        across, down = (result.renders.color.diff(dim=dim)[..., :32, :32].square() for dim in (-1, -2))
+        return (across + down).sqrt().mean()
+
+
 class ReadsAbsentImages(ToyLoss):
     def forward(self, result):
         image = result.style.image
@@ -384,6 +390,7 @@ MUTANTS = {
     "loss": [
         (changed(ToyLoss, "forward", torch.Tensor.double), "value_is_one_finite_number"),
         (given(ToyLoss, "forward", lambda result: result.detach()), "something_learns_from_it"),
+        (Slopes, "something_learns_from_it"),
         (ReadsAbsentImages, "absent_images_are_not_read"),
         (Summed, "a_batch_has_a_mean"),
     ],

@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.utils import get_total_norm
 
 from anystyle.contracts import LinearView, Loss
+from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.losses.features import objective
 from anystyle.methods.colors import KEPT
@@ -121,6 +123,10 @@ class SceneLoop:
             torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
             loss = self.loss(view)
             loss.backward()
+        norm = get_total_norm([value.grad for value in self.splats.parameters.values() if value.grad is not None])
+        if not norm.isfinite():  # Adam would make every number NaN, and the loss with them, for all steps that follow
+            names = ", ".join(self.losses)
+            raise UserError(f"the gradient of {names} is not finite; `anystyle plugins check loss NAME` finds which")
         self.splats.adam.step()
         return float(loss.detach())
 

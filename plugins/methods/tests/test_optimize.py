@@ -3,9 +3,12 @@
 import pytest
 import torch
 
+from anystyle.contracts import Loss
+from anystyle.errors import UserError
 from anystyle.losses.features import objective
 from anystyle.types import Style
 from anystyle_methods import scene_loop
+from anystyle_methods.optimize import Optimize
 from anystyle_methods.scene_loop import SceneLoop
 from tests.support.worlds import method, painting, run, scene, stylizer
 
@@ -114,3 +117,18 @@ def test_a_text_is_refused_where_an_image_is_read():
         run(method("method=nnfm"), Style(text=("red stripes",)))
     chosen = method("method=clip", "method.num_steps=2", *SMALL["clip"])
     assert run(chosen, Style(text=("red stripes",))).harmonics.isfinite().all()
+
+
+class Change(Loss):
+    """The distance from where a step begins: 0, with a derivative of 0 / 0."""
+
+    weight = 1.0
+
+    def forward(self, result):
+        return (result.renders.color - result.renders.color.detach()).square().sum().sqrt()
+
+
+def test_a_gradient_that_is_not_finite_stops_the_first_step():
+    chosen = Optimize(losses={**method("method=nnfm").losses, "change": Change()}, num_steps=3)
+    with pytest.raises(UserError, match=r"^the gradient of nnfm, content, total_variation, change is not"):
+        run(chosen)

@@ -90,14 +90,11 @@ def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: st
     if stored_in is None and path.parent.name.startswith("iteration_"):
         folders.append(path.parent.parent.parent)
     for folder in folders:
-        if stored := _of_folder(folder):
+        file = folder / "cameras.json"
+        stored = own_cameras(file) if file.is_file() and _is_own(file) else stored_cameras(folder)
+        if stored:
             return _in_model(_without(offset, stored), [folder, *folders], own_up)
     return {}
-
-
-def _of_folder(folder: Path) -> dict[str, StoredCamera]:
-    file = folder / "cameras.json"
-    return own_cameras(file) if file.is_file() and _is_own(file) else stored_cameras(folder)
 
 
 def _is_own(file: Path) -> bool:

@@ -54,14 +54,16 @@ def test_a_batch_has_a_mean(plugin: Subject[Loss]) -> None:
 
 
 def test_something_learns_from_it(plugin: Subject[Loss]) -> None:
-    """It has a finite gradient in the renders, the Gaussians or what the backbone predicted."""
-    result = stylization(1, 2)
-    scene = result.scene.map(lambda t: t.detach().clone().requires_grad_(t.is_floating_point()))
-    result = replace(result, scene=scene)
-    _value(plugin, result).backward()
-    gradients = {name: leaf.grad for name, leaf in asserts.tensors_of(result).items() if leaf.grad is not None}
-    assert any(bool(gradient.any()) for gradient in gradients.values()), "gradients of 0 everywhere; is it detached?"
-    asserts.finite(gradients, "the gradients")
+    """It has a finite gradient in the renders, the Gaussians or what the backbone predicted, plain images or not."""
+    for white in (0, 40):  # columns: the root of what changes there is 0, and its derivative infinite
+        result = stylization(1, 2)
+        result.views.images[..., :white] = result.renders.color.data[..., :white] = 1
+        scene = result.scene.map(lambda t: t.detach().clone().requires_grad_(t.is_floating_point()))
+        result = replace(result, scene=scene)
+        _value(plugin, result).backward()
+        gradients = {name: leaf.grad for name, leaf in asserts.tensors_of(result).items() if leaf.grad is not None}
+        assert any(bool(gradient.any()) for gradient in gradients.values()), "gradients of 0; is it detached?"
+        asserts.finite(gradients, f"the gradients where {white} columns of photographs and renders are white")
 
 
 @cache
