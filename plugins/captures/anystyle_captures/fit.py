@@ -29,11 +29,11 @@ from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import unlike as differ
-from anystyle_captures.poses import report
+from anystyle_captures.poses import adjusted, report
 from anystyle_captures.sky import without_sky
 from anystyle_captures.start import GivenGaussians, read_start
 from anystyle_captures.stereo import plane_sweep
-from anystyle_captures.trials import try_dropout, try_refinement
+from anystyle_captures.trials import try_cameras, try_dropout
 from anystyle_captures.twins import groups, held_out, to_try
 from anystyle_methods.order import canonical_order
 
@@ -86,7 +86,7 @@ class Fit(Reconstruction):
         holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it,
             together with those that show the same; the final steps see all views. Fewer views are not held out; 0 holds
             out none.
-        refine: Whether the fit refines cameras that are not exact: ``poses``, or ``lenses`` (focal lengths, too).
+        refine: Whether cameras that are not exact are refined first: ``poses``, or ``lenses`` (focal lengths, too).
         start: A folder of results or a file of Gaussians to begin with, in place of depths by stereo, in half of the
             quality's steps.
         state: A file to write the fit to as it goes, and to resume it from.
@@ -200,7 +200,7 @@ class Fit(Reconstruction):
         heldout = {} if result.heldout is None else result.heldout._asdict()
         if options.refine != "none":
             refined = result.cameras(views.size)
-            measures |= report(views.cameras, refined, result.aligned_psnr)
+            measures |= report(views.cameras, refined)
             views = replace(views, cameras=refined)
         measures |= {f"heldout_{name}": value for name, value in heldout.items()}
         views = to_paint(views, result, renderer, unlike)
@@ -283,14 +283,15 @@ def fit_photographs(
 
         written = None if state is None else _written(state, key, images.device)
         posed = cameras if written is None else replace(cameras, **written["given"])
-        if start is not None and options.refine == "none":
-            first = InitialScene(start)
-        else:  # depths that agree tell whether cameras are better refined
-            first = initial(posed, training)
-            first = first if start is None else first._replace(gaussians=start)
-        given = posed, first, options
         if options.refine != "none" and written is None:
-            given = try_refinement(*given, begin, lambda found: initial(found, training))
+            found = adjusted(images, posed, masks, lenses=options.refine == "lenses", seed=options.seed)
+            posed, first = try_cameras(posed, found, lambda cameras: initial(cameras, training))
+        elif start is None or options.refine != "none":
+            first = initial(posed, training)
+        else:
+            first = InitialScene(start)
+        first = first if start is None else first._replace(gaussians=start)
+        given = posed, first, options
         taught = [view for view in training if view not in tried and (masks is None or masks.measured[view].any())]
         if written is None and start is None and tried and taught:
             given = try_dropout(*given, begin, tried)

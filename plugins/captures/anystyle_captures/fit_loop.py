@@ -5,7 +5,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -22,7 +21,6 @@ from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, lift
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
-from anystyle_captures.poses import LEFT, MAX_RATE, REACH, RefinedCameras
 from anystyle_captures.start import GivenGaussians
 
 logger = logging.getLogger(__name__)
@@ -52,8 +50,6 @@ PRUNE_EVERY = 200
 """Steps between removals of Gaussians."""
 NEAREST_EXPOSURES = 2
 """A held-out view takes the exposure of this many nearest training views."""
-REFINE_FROM = 0.1
-"""The fraction of the steps after which cameras are refined."""
 
 
 class InitialScene(NamedTuple):
@@ -75,7 +71,7 @@ class FitOptions:
     degree: int = 0  # of the spherical harmonics
     exposure_lr: float = 0.003  # falls to a tenth; 0 disables exposure
     scale_weight: float = 0.0  # of the mean scale in footprints: only small Gaussians leave room for a style's strokes
-    refine: Literal["none", "poses", "lenses"] = "none"  # cameras; lenses: poses, too
+    refine: Literal["none", "poses", "lenses"] = "none"  # cameras, before it; lenses: poses, too
     evaluate_every: int = 200
     final_steps: int = 0  # on all views, if some are held out; the reported quality precedes them
     seed: int = 0
@@ -95,7 +91,6 @@ class FitResult:
     world_from_camera: Float[Tensor, "V 4 4"]  # as refined
     intrinsics: Float[Tensor, "V 3 3"]
     dropout: float
-    aligned_psnr: float | None = None  # of the views held out, once their cameras were refined, too
     cached: bool = False
 
     def cameras(self, size: tuple[int, int]) -> Cameras:
@@ -189,31 +184,19 @@ class FitLoop:
         self.generator = torch.Generator().manual_seed(options.seed)
         self.step = 0
         self.quality: Quality | None = None
-        self.aligned_psnr: float | None = None
         self.order, self.sums = list[int](), dict[str, Tensor]()  # views that are left of a pass; of parameters
-        self.images, self.given, self.renderer, self.options = images, cameras, renderer, options
+        self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
         self.heldout = [view for view in heldout if view in self.useful]
         self.half_size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images = interpolate(images, size=self.half_size, mode="area")
         self.half_masks = None if masks is None else masks.resized(self.half_size)
         self.free_space = start.free_space
         depth = float((start.gaussians.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
-        self.nearest, refine = NEAREST * depth, options.refine
-        self.refined = None if refine == "none" else RefinedCameras(cameras, depth, lenses=refine == "lenses")
+        self.nearest = NEAREST * depth
         self.splats = self._parameters(start.gaussians.gaussians(options.degree), start.gaussians.footprints)
         self._carve()
         self.background = background(renderer, self.gaussians(), cameras)
         self.exposures = Exposures(cameras, self.training)
-
-    @property
-    def cameras(self) -> Cameras:
-        """The cameras of all views, as they are now."""
-        return self.given if self.refined is None else self.refined.now()
-
-    @property
-    def moved(self) -> float:
-        """The root mean square of how far training cameras were moved, in radians and median depths."""
-        return 0.0 if self.refined is None else self.refined.moved(self.training)
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, a batch of one scene."""
@@ -235,9 +218,7 @@ class FitLoop:
         view = self.order.pop()
         coarse = self.step < options.half_resolution * options.num_steps
         images, masks = (self.half_images, self.half_masks) if coarse else (self.images, self.masks)
-        refined = self.refined if self.step >= REFINE_FROM * options.num_steps else None
-        cameras = self.cameras.select([view]) if refined is None else refined.cameras([view])
-        cameras = cameras.resized((images.shape[-2], images.shape[-1]))
+        cameras = self.cameras.select([view]).resized((images.shape[-2], images.shape[-1]))
         target, gaussians = images[view, None], self.gaussians()
         kept = torch.rand(len(self.splats), generator=self.generator).to(images) >= options.dropout
         opacities = (gaussians.opacities * kept / (1 - options.dropout)).clamp_max(MAX_OPACITY)
@@ -260,9 +241,6 @@ class FitLoop:
         last = max(1, round(AVERAGED * stage))
         if done >= stage - last:
             self._average(last if done + 1 == stage else 0)
-        if refined is not None:
-            rate = min(MAX_RATE, REACH * len(self.training) / options.num_steps)
-            refined.step(view, rate * LEFT**fraction, self.training)
         self.step += 1
         if self.step % PRUNE_EVERY == 0 and done < stage - last:
             self._prune()
@@ -338,8 +316,6 @@ class FitLoop:
                 continue
             if self.step <= self.options.num_steps:
                 self.quality = self.heldout_quality()
-            if self.step == self.options.num_steps and self.refined is not None:
-                self._align_heldout(self.refined)
             if self.step == self.options.num_steps < self.last_step:
                 self._include_heldout()
             pace = (time.monotonic() - started) / (self.step - first)
@@ -356,23 +332,12 @@ class FitLoop:
             unlike[view], fitted[view] = unexplained(*given)[0], psnr(*given)[0]
         posed = self.cameras.world_from_camera[0], self.cameras.intrinsics[0]
         scene = self.gaussians().detach(), 1 + gains, biases, self.step, float(fitted.nanmean()), unlike
-        return FitResult(*scene, self.quality, *posed, self.options.dropout, self.aligned_psnr)
+        return FitResult(*scene, self.quality, *posed, self.options.dropout)
 
     @property
     def last_step(self) -> int:
         """The number of all steps."""
         return self.options.num_steps + (self.options.final_steps if self.heldout else 0)
-
-    def _align_heldout(self, refined: RefinedCameras) -> None:
-        """Refine the cameras of views held out, against the scene as it is."""
-        coarse, fine = (self.half_images, self.half_masks), (self.images, self.masks)
-        side = min(self.half_size)
-        for view in self.heldout:
-            for (images, masks), window in ((coarse, max(side // 8, 1)), (coarse, max(side // 16, 1)), (fine, 1)):
-                measured = None if masks is None else masks.measured[view, None]
-                refined.align(view, partial(self.render, view), images[view, None], measured, window)
-        quality = self.heldout_quality()
-        self.aligned_psnr = quality and quality.psnr
 
     @torch.no_grad()
     def _include_heldout(self) -> None:
@@ -446,9 +411,7 @@ class FitLoop:
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.adam.state_dict(),
             "quality": self.quality and tuple(self.quality),
-            "aligned_psnr": self.aligned_psnr,
-            "given": {name: getattr(self.given, name) for name in ("world_from_camera", "intrinsics")},
-            "refined": self.refined and self.refined.state_dict(),
+            "given": {name: getattr(self.cameras, name) for name in ("world_from_camera", "intrinsics")},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -461,11 +424,6 @@ class FitLoop:
         self.exposures.adam.load_state_dict(state["exposures"])
         self.exposures.train(self.training)
         self.quality = state["quality"] and Quality(*state["quality"])
-        self.aligned_psnr = state["aligned_psnr"]
-        if state["refined"] is None:
-            self.refined = None
-        elif self.refined is not None:
-            self.refined.load_state_dict(state["refined"])
 
 
 @torch.no_grad()

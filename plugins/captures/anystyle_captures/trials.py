@@ -1,4 +1,4 @@
-"""Short fits that tell whether cameras are better refined, and from where, and whether a scene is overfitted."""
+"""Trials before a fit: whether cameras are better refined, and whether a scene is overfitted."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -6,17 +6,15 @@ from dataclasses import replace
 
 import torch
 
+from anystyle.errors import UserError
 from anystyle.types import Cameras
 from anystyle_captures.fit_loop import FitLoop, FitOptions, InitialScene
 from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.poses import difference
 
 logger = logging.getLogger(__name__)
-TRIAL, MOST = 0.3, 2
-"""The steps of a trial, relative to those of a fit, all at half the resolution; how many follow each other at most."""
-MOVED, BETTER = 0.0017, 1.02
-"""How far cameras must have moved in a trial, in radians and median depths, and in how many times as many pixels stereo
-must agree by them, or else they are kept as they were. 0.0017 are 0.1 degrees."""
+BETTER = 1.02
+"""In how many times as many pixels stereo must agree by refined cameras, or else those given are kept."""
 STEPS = 60
 """Of the trial that tells whether a scene is overfitted. It sees half of the photographs."""
 LEAST_GAP, LARGEST_GAP, MAX_DROPOUT = 0.11, 0.16, 0.3
@@ -24,36 +22,24 @@ LEAST_GAP, LARGEST_GAP, MAX_DROPOUT = 0.11, 0.16, 0.3
 is; the fraction of the Gaussians that steps leave out then."""
 
 
-def try_refinement(
-    cameras: Cameras,
-    start: InitialScene,
-    options: FitOptions,
-    begin: Callable[[Cameras, InitialScene, FitOptions], FitLoop],
-    initial: Callable[[Cameras], InitialScene],
-) -> tuple[Cameras, InitialScene, FitOptions]:
-    """What a fit should begin with: refined cameras, or exactly what was given, and no refinement.
+def try_cameras(
+    cameras: Cameras, found: Cameras, initial: Callable[[Cameras], InitialScene]
+) -> tuple[Cameras, InitialScene]:
+    """Refined cameras and what a fit begins with by them, or exactly what was given.
 
-    Cameras are refined in one trial after another, each from where the last one left them and from depths found anew
-    by them, as long as these agree in more and more pixels: a measure that knows nothing of the fit.
+    They are taken where depths by stereo agree in more pixels, a measure that knows nothing of the features.
     """
-    short = replace(options, num_steps=max(1, round(TRIAL * options.num_steps)), half_resolution=1.0, final_steps=0)
-    refine = "none"
-    for number in range(MOST):
-        loop = begin(cameras, start, short)
-        while loop.step < loop.last_step:
-            loop.advance()
-        if loop.moved < MOVED:
-            break
-        again, taught = initial(loop.cameras), loop.training
-        found = difference(cameras.select(taught), loop.cameras.select(taught))
-        better = again.confirmed > BETTER * start.confirmed
-        told = f"trial {number + 1}: cameras moved by {found[0]:.2f}° and {100 * found[1]:.1f}% of their radius"
-        shares = f"stereo agrees in {100 * again.confirmed:.1f}% of the pixels, before in {100 * start.confirmed:.1f}%"
-        logger.info("%s, %s: they are %s", told, shares, "taken" if better else "kept as they were")
-        if not better:
-            break
-        cameras, start, refine = loop.cameras, again, options.refine
-    return cameras, start, replace(options, refine=refine)
+    again = initial(found)
+    try:
+        start = initial(cameras)
+    except UserError:  # no depth agrees by them
+        start = again._replace(confirmed=0.0)
+    better = again.confirmed > BETTER * start.confirmed
+    turned, moved = difference(cameras, found)
+    told = f"cameras that agree with shared features differ by {turned:.2f}° and {100 * moved:.1f}% of their radius"
+    shares = f"stereo agrees in {again.confirmed:.1%} of the pixels, by those given in {start.confirmed:.1%}"
+    logger.info("%s, %s: %s", told, shares, "they are taken" if better else "those given are kept")
+    return (found, again) if better else (cameras, start)
 
 
 def try_dropout(
