@@ -1,7 +1,10 @@
 """Exact pictures of textured cards in space, by any camera with any radial distortion."""
 
 import numpy as np
+import torch
 from scipy.ndimage import zoom
+
+from anystyle.types import Cameras
 
 SAMPLES = 2
 
@@ -64,6 +67,15 @@ def arc(num_views, degrees, distance=3.0):
         pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], 1)
         poses.append(pose)
     return np.stack(poses)
+
+
+def photographed(num_views, degrees=40, focal=200.0, size=(168, 192)):
+    """Photographs of the world from an arc, and their cameras."""
+    poses = arc(num_views, degrees)
+    pictures = torch.from_numpy(np.stack([World().picture(pose, focal, size) for pose in poses]))
+    lens = torch.tensor([[focal, 0, size[1] / 2], [0, focal, size[0] / 2], [0, 0, 1]]).expand(1, num_views, 3, 3)
+    cameras = Cameras(torch.from_numpy(poses).float()[None], lens.clone(), size)
+    return pictures.movedim(-1, 1).float() / 255, cameras
 
 
 def panorama(num_views, degrees, distance=3.0):

@@ -35,8 +35,8 @@ TOLERANCE, COARSE_TOLERANCE = 0.03, 0.05
 """Relative difference up to which two depths agree."""
 NEAR, FAR = (0.01, 0.7), (0.98, 2.5)
 """The quantile of a view's known depths, and the factor on it, at which the first and the last plane lie."""
-COARSE_SIDE, COARSE_PLANES = 112, 128
-"""Short side in pixels, and planes, of the sweep that finds the range of depths of a scene."""
+COARSE_SIDE, NEAR_SIDE, COARSE_PLANES = 112, 80, 128
+"""Short sides in pixels, and planes, of the sweep that finds the range of depths, or only where it begins."""
 MASKED = 0.5
 """The grey value of masked pixels."""
 MIN_POINTS = 32
@@ -81,8 +81,11 @@ def plane_sweep(
         gray = torch.where(valid, gray, MASKED)
     rig = _Rig(cameras.intrinsics[0].double(), cameras.camera_from_world[0].double())
     if points is None:
-        points = _coarse_points(gray, rig, valid)
-    ranges, neighbors = _ranges(rig, points), _neighbors(rig, points, cameras.size)
+        points = _coarse_points(gray, rig, valid, COARSE_SIDE)
+        ranges = _ranges(rig, points)
+    else:
+        ranges = _with_what_is_near(_ranges(rig, points), gray, rig, valid)
+    neighbors = _neighbors(rig, points, cameras.size)
     return _sweep(gray, rig, ranges, neighbors, NUM_PLANES, TOLERANCE, valid)
 
 
@@ -131,6 +134,17 @@ def _ranges(rig: _Rig, points: Sequence[Tensor]) -> Float[Tensor, "V 2"]:
     return torch.stack([torch.stack([one.quantile(q) * factor for q, factor in (NEAR, FAR)]) for one in known])
 
 
+def _with_what_is_near(
+    ranges: Float[Tensor, "V 2"], gray: Float[Tensor, "V H W"], rig: _Rig, valid: Bool[Tensor, "V H W"]
+) -> Float[Tensor, "V 2"]:
+    """Ranges that begin where a coarse sweep sees something: few features are on what is plain and near."""
+    try:
+        nearest = _ranges(rig, _coarse_points(gray, rig, valid, NEAR_SIDE))[:, 0]
+    except UserError:  # no depth agrees at this size
+        return ranges
+    return torch.stack([ranges[:, 0].minimum(nearest), ranges[:, 1]], dim=1)
+
+
 def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> list[list[int]]:
     """For each view, greedily, those that together show its points, each under about the preferred angle."""
     height, width = size
@@ -166,9 +180,9 @@ def _nearest(rig: _Rig, view: int) -> list[int]:
     return [int(other) for other in order if distance[other] > rig.same_place][:NUM_NEIGHBORS]
 
 
-def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig, valid: Bool[Tensor, "V H W"]) -> list[Tensor]:
+def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig, valid: Bool[Tensor, "V H W"], side: int) -> list[Tensor]:
     """Points of each view by a sweep of small images, from infinity to where the parallax is the image's width."""
-    scale = min(1.0, COARSE_SIDE / min(gray.shape[-2:]))
+    scale = min(1.0, side / min(gray.shape[-2:]))
     size = round(gray.shape[-2] * scale), round(gray.shape[-1] * scale)
     small = interpolate(gray[None], size=size, mode="area")[0]
     inside = interpolate(valid[None].float(), size=size, mode="area")[0] == 1

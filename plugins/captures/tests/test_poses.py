@@ -3,34 +3,27 @@
 from dataclasses import replace
 from math import radians
 
-import numpy as np
 import pytest
 import torch
 from torch.nn.functional import normalize
 
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import matrix_from_vector, similarity_of_cameras
-from anystyle.types import Cameras
 from anystyle_captures.fit import fit_photographs
 from anystyle_captures.fit_loop import FitOptions, InitialScene
 from anystyle_captures.masks import Masks
 from anystyle_captures.poses import adjusted, difference
 from anystyle_captures.trials import try_cameras
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from tests.support.cards import World, arc
+from tests.support.cards import photographed
 
 OPTIONS = FitOptions(num_steps=120, evaluate_every=40, refine="poses")
-FOCAL, SIZE = 200.0, (168, 192)
-VIEWS, HELDOUT = 7, 3
+FOCAL, VIEWS = 200.0, 7
 
 
 @pytest.fixture(scope="module")
 def photographs():
-    poses = arc(VIEWS, 40)
-    pictures = np.stack([World(0).picture(pose, FOCAL, SIZE) for pose in poses])
-    lens = torch.tensor([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
-    cameras = Cameras(torch.from_numpy(np.stack(poses)).float()[None], lens.expand(1, VIEWS, 3, 3).clone(), SIZE)
-    return torch.from_numpy(pictures).movedim(-1, 1).float() / 255, cameras
+    return photographed(VIEWS, focal=FOCAL)
 
 
 def disturbed(cameras, degrees=1.0, share=0.02):
@@ -51,9 +44,7 @@ def off(cameras, exact):
 
 
 def fit(images, cameras, options=OPTIONS, **rest):
-    return fit_photographs(
-        images, cameras, CpuRenderer(), num_gaussians=900, options=options, heldout=(HELDOUT,), **rest
-    )
+    return fit_photographs(images, cameras, CpuRenderer(), num_gaussians=900, options=options, heldout=(3,), **rest)
 
 
 @pytest.fixture(scope="module")
