@@ -38,7 +38,8 @@ def try_cameras(
     turned, moved = difference(cameras, found)
     told = f"cameras that agree with shared features differ by {turned:.2f}° and {100 * moved:.1f}% of their radius"
     shares = f"stereo agrees in {again.confirmed:.1%} of the pixels, by those given in {start.confirmed:.1%}"
-    logger.info("%s, %s: %s", told, shares, "they are taken" if better else "those given are kept")
+    level = logging.INFO if better else logging.WARNING  # what was asked for is not done
+    logger.log(level, "%s, %s: %s", told, shares, "they are taken" if better else "those given are kept")
     return (found, again) if better else (cameras, start)
 
 
