@@ -7,7 +7,7 @@ from anystyle.__main__ import available
 from anystyle.registry.catalog import kinds
 
 ROOT = Path(__file__).parent.parent
-LINES = {"src": 14_000, "plugins": 17_300, "tests": 22_477}
+LINES = {"src": 14_000, "plugins": 17_250, "tests": 22_477}
 """Lines of code at most; tests are those of plugins, too."""
 
 KINDS, COMMANDS = 19, 12
