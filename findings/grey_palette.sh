@@ -1,8 +1,9 @@
+#!/usr/bin/env bash
 # An ink drawing as the palette of a photograph: a transfer of colours that should end in greys, by three libraries.
 #
 # The drawing's covariance of colours has rank one. For a colourful picture and a drawing of two greys (20 and 235):
 #   color-matcher 0.6.0   mkl            grey, -102 to 325: to be clipped
-#                         mvgd           values of 1e14 and more, no warning: a division by a determinant of 0
+#                         mvgd           values of 1e14 and more, no warning: it multiplies by pseudo-inverses of covariances
 #                         reinhard       nearly grey, up to 633
 #                         hm             the drawing's greys in each channel by itself: colours remain, 143 off grey
 #                         hm-mvgd-hm     likewise, its middle step is hidden by the last;  hm-mkl-hm   nearly grey

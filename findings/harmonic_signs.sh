@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # Real spherical harmonics of six packages beside those of 3D Gaussian splatting, up to degree 3.
 #
 # `f_rest` of a PLY belongs to a basis whose first degree is (-y, z, -x): real and imaginary parts with the phase of
@@ -11,7 +12,7 @@
 #   e3nn 0.6.0                                  y is its vertical axis: given (y, z, x) it has sphericart's; of (x, y, z)
 #                                               eight of the twelve functions from degree 2 on are none of splatting's;
 #                                               normalization="integral" is its norm
-# Seen: 200 directions. An error in the sign is invisible in a fit and in one picture, and appears once scenes are merged.
+# Seen: 200 directions.
 set -euo pipefail
 cd "$(mktemp -d)"
 python3 -m venv env

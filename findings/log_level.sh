@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # pycolmap 4.2.1: bundle_adjustment sets the log's level back, for all calls that follow.
 #
 # `pycolmap.logging.minloglevel = 3` (FATAL) silences COLMAP, whose every stage else writes lines to standard error.

@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # crowd-kit 1.4.2: a vote that is even has a winner, and the answer "no difference" is one more method.
 #
 # Answers of a user study that compares methods in pairs. Four people, two of whom prefer each, in all of six pictures:
@@ -5,7 +6,7 @@
 # 60 answers among three methods, a third of them "no difference":
 #   BradleyTerry                NaN for all, a RuntimeWarning of a division; "no difference" has a row
 #   NoisyBradleyTerry           a score of "no difference" between those of the methods, which change; no word
-# Answers that say a side ("left") in place of its method have the same fate. Left out beforehand, all is well.
+# Left out beforehand, all is well.
 set -euo pipefail
 cd "$(mktemp -d)"
 python3 -m venv env

@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # A principal point off the middle, as of a cropped photograph: where four programs then put the optical axis.
 #
 # In a picture of 640 x 480 pixels the axis lies at (300, 200), in a matrix K with focal lengths 500 and 520.

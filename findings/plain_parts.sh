@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # Scores of pictures as losses: finite, with a gradient of NaN wherever a picture is plain or two pictures agree.
 #
 # White paper, a black background or a masked sky is the same in a render and in its target. A score takes the square
@@ -5,17 +6,19 @@
 # is an ordinary number, so that nothing is seen before the first step has made parameters NaN. Seen for two pictures of
 # noise whose right halves are white, and for one against itself; none of these warns:
 #   torchmetrics 1.9.0   SAM, SCC, RASE and RMSE by windows: half of the gradient is NaN; identical: SAM, RASE, RMSE;
-#                        SSIM, MS-SSIM, UQI: finite
+#                        SSIM, UQI: finite
 #   piq 0.8.0            GMSD, MS-GMSD, FSIM, VSI, MDSI, SR-SIM, DSS: 34 to 50 % is NaN; identical: GMSD, MS-GMSD, MDSI;
 #                        SSIM, VIF, HaarPSI: finite. Its total variation of a white picture: all
 #   piqa 1.3.2           GMSD, MS-GMSD, VSI, FSIM, MDSI: 42 to 50 %; identical: MDSI; SSIM, HaarPSI: finite
-# The last two are written to be trained with. With noise of one level (1/255) on the white half all are finite, but for
+#   kornia 0.9.0, pytorch-msssim 1.0.0   SSIM: finite
+# piq and piqa are written to be trained with. With noise of one level (1/255) on the white half all are finite, but for
 # 2 % of SAM, whose arc cosine ends in the same way, and 46 % of DSS.
 set -euo pipefail
 cd "$(mktemp -d)"
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 numpy==2.4.6
-env/bin/pip install --quiet --no-deps piq==0.8.0 piqa==1.3.2
+env/bin/pip install --quiet --no-deps piq==0.8.0 piqa==1.3.2 pytorch-msssim==1.0.0
+env/bin/pip install --quiet kornia==0.9.0
 env/bin/python - <<'PYTHON'
 import sys
 import types
@@ -44,8 +47,10 @@ for name in ("torchvision", "torchvision.models", "torchvision.models.utils"):
     sys.modules[name] = Module(name)
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
+    import kornia
     import piq
     import piqa
+    import pytorch_msssim
 
 breaks = {
     "torchmetrics SAM": tm.spectral_angle_mapper,
@@ -68,6 +73,8 @@ breaks = {
 holds = {
     "torchmetrics SSIM": lambda a, b: tm.structural_similarity_index_measure(a, b, data_range=1.0),
     "torchmetrics UQI": tm.universal_image_quality_index,
+    "kornia SSIM": lambda a, b: kornia.losses.ssim_loss(a, b, 11),
+    "pytorch-msssim SSIM": lambda a, b: pytorch_msssim.ssim(a, b, data_range=1.0),
     "piq SSIM": piq.ssim,
     "piq VIF": piq.vif_p,
     "piq HaarPSI": piq.haarpsi,

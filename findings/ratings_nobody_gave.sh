@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # A rating that nobody gave: weighted kappas take the scale for shorter than it is, an ordered model loses its effect.
 #
 # Two people rate 200 pictures from 1 to 5. Nobody gives 2 or 3; they agree on what is a 1, and mix up 4 and 5.

@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # torchmetrics 1.9.0, `MetricCollection`: two metrics that agree on the first update are one metric from then on.
 #
 # To save time, a collection compares the states of its metrics after the first update, and from then on updates one of

@@ -1,9 +1,10 @@
+#!/usr/bin/env bash
 # What three viewers keep of Gaussians whose numbers were exact: directions of needles, and sizes of small ones.
 #
 # 1. Babylon.js 9.28.0 (core) and gsplat 1.2.9 (gsplat.js, of npm) round the rotations of a PLY to four bytes, though it
 #    holds floats. A Gaussian is turned by 0.43 degrees in the mean and by up to 0.81; in Babylon one that is not rotated
-#    at all by 0.78, for no byte stands for 0 (128 of 0 to 255 is 1/255). A needle 75 times as long as it is wide ends a
-#    width beside its place. Positions and sizes stay floats. gsplat.js leaves quaternions unnormalised, of norm 0.99.
+#    at all by 0.78, for no byte stands for 0 (128 of 0 to 255 is 1/255). Both ends of a needle 150 times as long as it is
+#    wide lie a width beside their places. Positions and sizes stay floats. gsplat.js leaves quaternions unnormalised, of norm 0.99.
 # 2. viser 1.1.1 sends covariances, squares of sizes, in half precision: sizes of 0.001 are off by up to 0.7 %, of
 #    0.0003 by 15 %, below 0.00017 they are 0, above 255 infinite. A disc of 0.1, a hundredth as thick, tilted, has a
 #    negative variance. Its `scale=` acts on what is left; scale the scene instead, so that small ones are 0.01 or more.

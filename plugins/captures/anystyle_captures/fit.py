@@ -115,7 +115,8 @@ class Fit(Reconstruction):
         self.short_side, self.max_views = self.preset.short_side, MAX_VIEWS
         self.num_gaussians, self.num_steps = num_gaussians, num_steps
         self.degree, self.seed = degree, seed
-        self.holdout, self.refine, self.keep = holdout, refine, keep
+        self.holdout, self.keep = holdout, keep
+        self.refine: Refine = refine
         self.start = None if start is None else expanded(start)
         self.state = None if state is None else expanded(state)
 
@@ -127,7 +128,6 @@ class Fit(Reconstruction):
             num_steps=self.num_steps or round(preset.num_steps * growth),
             final_steps=preset.final_steps if self.num_steps else round(preset.final_steps * growth),
             degree=self.degree,
-            refine=self.refine,
             seed=self.seed,
         )
         return self.num_gaussians or round(self.preset.num_gaussians * growth), options
@@ -172,6 +172,7 @@ class Fit(Reconstruction):
                 heldout=heldout,
                 unseen=to_try(photographs, heldout, views.cameras),
                 masks=masks,
+                refine=self.refine,
                 state=self.state,
                 keep=self.keep,
                 on_progress=on_progress,
@@ -198,7 +199,7 @@ class Fit(Reconstruction):
         found = {"kept": float(result.cached), "twins": float(views.images.shape[1] - len(photographs))}
         measures |= {name: value for name, value in found.items() if value}
         heldout = {} if result.heldout is None else result.heldout._asdict()
-        if options.refine != "none":
+        if self.refine != "none":
             refined = result.cameras(views.size)
             measures |= report(views.cameras, refined)
             views = replace(views, cameras=refined)
@@ -253,6 +254,7 @@ def fit_photographs(
     heldout: Sequence[int] = (),
     unseen: Sequence[int] = (),
     masks: Masks | None = None,
+    refine: Refine = "none",
     state: Path | None = None,
     keep: bool = False,
     on_progress: OnProgress = no_progress,
@@ -272,7 +274,9 @@ def fit_photographs(
     masked = () if masks is None else (masks.alpha, masks.valid)
     given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
     begun = () if start is None else vars(start.given).values()
-    key = key_of(*given, num_gaussians, options, hidden, tried, type(renderer).__name__, settings, *masked, *begun)
+    key = key_of(
+        *given, num_gaussians, options, refine, hidden, tried, type(renderer).__name__, settings, *masked, *begun
+    )
 
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
@@ -283,10 +287,11 @@ def fit_photographs(
 
         written = None if state is None else _written(state, key, images.device)
         posed = cameras if written is None else replace(cameras, **written["given"])
-        if options.refine != "none" and written is None:
-            found = adjusted(images, posed, masks, lenses=options.refine == "lenses", seed=options.seed)
+        if refine != "none" and written is None:
+            lenses, seed = refine == "lenses", options.seed
+            found = adjusted(images, posed, masks, lenses=lenses, seed=seed, on_progress=on_progress)
             posed, first = try_cameras(posed, found, lambda cameras: initial(cameras, training))
-        elif start is None or options.refine != "none":
+        elif start is None or refine != "none":
             first = initial(posed, training)
         else:
             first = InitialScene(start)

@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -71,7 +71,6 @@ class FitOptions:
     degree: int = 0  # of the spherical harmonics
     exposure_lr: float = 0.003  # falls to a tenth; 0 disables exposure
     scale_weight: float = 0.0  # of the mean scale in footprints: only small Gaussians leave room for a style's strokes
-    refine: Literal["none", "poses", "lenses"] = "none"  # cameras, before it; lenses: poses, too
     evaluate_every: int = 200
     final_steps: int = 0  # on all views, if some are held out; the reported quality precedes them
     seed: int = 0

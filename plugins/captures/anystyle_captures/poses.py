@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.geometry.transforms import nearest_rotation, similarity_of_cameras
-from anystyle.types import Cameras
+from anystyle.types import Cameras, OnProgress, no_progress
 from anystyle_captures.masks import Masks
 from anystyle_captures.sfm.colmap import MAPPING_THREADS, match
 from anystyle_captures.sfm.model import Photograph, SearchOptions
@@ -27,7 +27,13 @@ more. Matches are verified without cameras, so that the first may be off by degr
 
 
 def adjusted(
-    images: Float[Tensor, "V 3 H W"], cameras: Cameras, masks: Masks | None, *, lenses: bool = False, seed: int = 0
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    masks: Masks | None,
+    *,
+    lenses: bool = False,
+    seed: int = 0,
+    on_progress: OnProgress = no_progress,
 ) -> Cameras:
     """Cameras that agree with the features that photographs share, in the frame and unit of those given.
 
@@ -43,7 +49,8 @@ def adjusted(
     ]
     poses, intrinsics = cameras.world_from_camera[0].cpu().double(), cameras.intrinsics[0].clone()
     with tempfile.TemporaryDirectory() as name:
-        graph = match(Path(name), photographs, SearchOptions(seed=seed), threads=torch.get_num_threads())
+        options, threads = SearchOptions(seed=seed), torch.get_num_threads()
+        graph = match(Path(name), photographs, options, threads=threads, on_progress=on_progress)
         if not graph.pairs:
             return cameras
         model = _given(Path(name), cameras.to("cpu").resized(graph.sizes[0]))

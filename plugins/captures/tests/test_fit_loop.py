@@ -120,10 +120,9 @@ def test_a_step_leaves_out_some_gaussians_and_the_others_stand_in(photographs):
     torch.testing.assert_close(drawn[-1], OPACITY / 0.8 * kept)
 
 
-@pytest.mark.parametrize("refine", ["none", "poses"])
-def test_a_step_waits_for_nothing(photographs, refine):
+def test_a_step_waits_for_nothing(photographs):
     """On a card, which computes while its host goes on, values are read back where progress is told and no oftener."""
-    loop = fit(photographs, FitOptions(num_steps=20, refine=refine))
+    loop = fit(photographs, FitOptions(num_steps=20))
     with Kernels() as kernels:
         for _ in range(6):
             loop.advance()

@@ -55,7 +55,7 @@ def test_a_batch_has_a_mean(plugin: Subject[Loss]) -> None:
 
 def test_something_learns_from_it(plugin: Subject[Loss]) -> None:
     """It has a finite gradient in the renders, the Gaussians or what the backbone predicted, plain images or not."""
-    for white in (0, 40):  # columns: the root of what changes there is 0, and its derivative infinite
+    for white in (0, 40):  # columns, in which a square root of changes is 0 and its derivative infinite
         result = stylization(1, 2)
         result.views.images[..., :white] = result.renders.color.data[..., :white] = 1
         scene = result.scene.map(lambda t: t.detach().clone().requires_grad_(t.is_floating_point()))
