@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -78,6 +79,12 @@ UNREAD = {
     "images/0000.xmp": "RealityScan's; export a COLMAP model",
     "images/found/transforms.json": "there are cameras in .*; poses=known poses_from=.*transforms.json uses them",
 }  # fmt: skip
+
+
+def test_cameras_of_the_working_directory_are_none_of_an_example(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bundle.out").write_text("# Bundle file v0.3")
+    assert _stored_beside([Path("example:street")], PoseOptions("auto")) == {} and not caplog.records
 
 
 @pytest.mark.parametrize(("file", "words"), UNREAD.items())

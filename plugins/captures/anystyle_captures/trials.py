@@ -36,8 +36,8 @@ def try_cameras(
         start = again._replace(confirmed=0.0)
     better = again.confirmed > BETTER * start.confirmed
     turned, moved = difference(cameras, found)
-    told = f"cameras that agree with shared features differ by {turned:.2f}° and {100 * moved:.1f}% of their radius"
-    shares = f"stereo agrees in {again.confirmed:.1%} of the pixels, by those given in {start.confirmed:.1%}"
+    told = f"cameras refined by shared features differ by {turned:.2f}° and {moved:.1%} of their radius"
+    shares = f"stereo agrees by them in {again.confirmed:.1%} of the pixels, by those given in {start.confirmed:.1%}"
     level = logging.INFO if better else logging.WARNING  # what was asked for is not done
     logger.log(level, "%s, %s: %s", told, shares, "they are taken" if better else "those given are kept")
     return (found, again) if better else (cameras, start)

@@ -12,7 +12,6 @@ def test_what_is_near_is_found_though_no_point_lies_on_it():
     side = torch.linspace(-1, 1, 6)
     points = [torch.cartesian_prod(side, side, torch.tensor([2.5]))] * 7
     found = plane_sweep(images, cameras, points=points)
-    near = (found.depth < 0.6 * 4.6) & (found.support > 1)
-    assert near.double().mean() > 0.05
+    assert ((found.depth < 0.6 * 4.6) & (found.support > 1)).double().mean() > 0.05
     # Where no depth agrees, the points are all that is known.
     assert plane_sweep(torch.full_like(images, 0.5), cameras, points=points).depth.isfinite().all()

@@ -83,7 +83,7 @@ def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> dict[Path, Stor
         _log.warning("cameras beside the photographs are not used: %s", error)
         return {}
     if not found:
-        if told := unread([path if path.is_dir() else path.parent for path in (*paths, *files)]):
+        if told := unread([*(path for path in paths if path.is_dir()), *(file.parent for file in files)]):
             _log.warning("%s", told)
         return {}
     used = len(found) >= max(2, len(files) / 2)
