@@ -44,14 +44,15 @@ class BlendedView(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """The shares of Gaussians in pixels, by runs of pixels that one splat covers in one line.
+    """The shares of Gaussians in the pixels of a row of tiles, by runs of pixels that one splat covers in one line.
 
     Args:
-        runs: ``[n, 2]``: the Gaussian; ``WIDTH`` times the first pixel, row by row through the image, plus how many
-            pixels follow it.
+        splats: ``[m, 2]``: the Gaussian; :data:`RUNS` times the tile's column, plus the number of the splat's runs.
+        runs: ``[n]``: ``WIDTH`` times the first pixel, row by row through the tile, plus how many pixels follow it.
         values: The shares of each run's pixels in :data:`STEPS`, one run after another.
     """
 
+    splats: Array
     runs: Array
     values: Array
 
@@ -98,6 +99,8 @@ BLOCK = 32
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 STEPS = np.float32(65535)
 """Of shares that are kept, which lie in [0, 1]: half of the memory of a view."""
+RUNS = np.uint64(64)
+"""More than a splat has in a tile."""
 ALMOST = np.float32(0.9999)
 """Added before truncation to an integer, to round up."""
 MARGIN = np.float32(0.01)
@@ -326,8 +329,9 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
 def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, top: int, cap: float) -> Shares:
     """The shares of Gaussians in the pixels of a row of tiles, ``tall`` pixels high; ``owners`` are those of splats."""
     lists, offsets = tiles
-    runs, values = np.empty((1 << 14, 2), np.uint32), np.empty(max(8 * lists.shape[0], 1 << 14), np.uint16)
-    number = length = 0
+    found = np.empty((lists.shape[0], 2), np.uint32)
+    runs, values = np.empty(1 << 14, np.uint16), np.empty(max(8 * lists.shape[0], 1 << 14), np.uint16)
+    covering = number = length = 0
     # Planes: transmittance (negative once the pixel is full), the share of the current splat, column, row.
     tile = np.empty((4, HEIGHT * WIDTH), np.float32)
     for column in range(offsets.shape[0] - 1):
@@ -356,59 +360,66 @@ def shares(splats: Array, owners: Array, tiles: Tiles, tall: int, width: int, to
                 tile[0, i] = -abs(before) if full else after
             runs = runs if number + HEIGHT <= runs.shape[0] else longer(runs)
             values = values if length + HEIGHT * WIDTH <= values.shape[0] else longer(values)
-            owner, half = owners[entries[entry, 0]], splats[entries[entry, 0], 10] + ONE
+            half, known = splats[entries[entry, 0], 10] + ONE, number
             begin, end = int(max(x - half, ZERO)), int(max(min(x + half + ONE, np.float32(wide)), ZERO))
             for row in range(entries[entry, 1], entries[entry, 2]):
                 first, stop = np.uint64(row * WIDTH + begin), np.uint64(row * WIDTH + end)
-                while first < stop and tile[1, first] == ZERO:
+                while first < stop and tile[1, first] * STEPS < ONE:
                     first += np.uint64(1)
-                while first < stop and tile[1, stop - np.uint64(1)] == ZERO:
+                while first < stop and tile[1, stop - np.uint64(1)] * STEPS < ONE:
                     stop -= np.uint64(1)
                 if first < stop:
-                    pixel = (top + row) * width + left + int(first) - row * WIDTH
-                    runs[number, 0], runs[number, 1] = owner, pixel * WIDTH + int(stop - first) - 1
+                    runs[number] = first * WIDE + stop - first - np.uint64(1)
                     number += 1
                     for i in range(first, stop):
                         values[length] = np.uint16(tile[1, i] * STEPS + HALF)
                         length += 1
-    return Shares(runs[:number].copy(), values[:length].copy())
+            if known < number:
+                found[covering, 0] = owners[entries[entry, 0]]
+                found[covering, 1] = column * RUNS + number - known
+                covering += 1
+    return Shares(found[:covering], runs[:number], values[:length])
 
 
 @compiled
 def mix(shares: Shares, colors: Array, image: Array) -> None:
-    """Add the colours ``[N, 3]`` of Gaussians, times their shares, to pixels ``[H W, 3]``."""
-    runs, values = shares
-    at = np.uint64(0)
-    for run in range(runs.shape[0]):
-        owner, pixel = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]) // WIDE
-        count = np.uint64(runs[run, 1]) % WIDE + np.uint64(1)
+    """Add the colours ``[N, 3]`` of Gaussians, times their shares, to pixels ``[rows, W, 3]``."""
+    splats, runs, values = shares
+    run = at = np.uint64(0)
+    for splat in range(splats.shape[0]):
+        owner, left = np.uint64(splats[splat, 0]), np.uint64(splats[splat, 1]) // RUNS * WIDE
         red, green, blue = colors[owner, 0] / STEPS, colors[owner, 1] / STEPS, colors[owner, 2] / STEPS
-        for i in range(count):
-            share = np.float32(values[at + i])
-            image[pixel + i, 0] += share * red
-            image[pixel + i, 1] += share * green
-            image[pixel + i, 2] += share * blue
-        at += count
+        for _ in range(np.uint64(splats[splat, 1]) % RUNS):
+            first, count = np.uint64(runs[run]) // WIDE, np.uint64(runs[run]) % WIDE + np.uint64(1)
+            y, x = first // WIDE, left + first % WIDE
+            for i in range(count):
+                share = np.float32(values[at + i])
+                image[y, x + i, 0] += share * red
+                image[y, x + i, 1] += share * green
+                image[y, x + i, 2] += share * blue
+            run, at = run + np.uint64(1), at + count
 
 
 @compiled
 def mix_transposed(shares: Shares, image: Array, colors: Array) -> None:
-    """Add pixels ``[H W, 3]``, times the shares of Gaussians in them, to ``[N, 3]``: the transpose of :func:`mix`."""
-    runs, values = shares
-    at = np.uint64(0)
-    for run in range(runs.shape[0]):
-        owner, pixel = np.uint64(runs[run, 0]), np.uint64(runs[run, 1]) // WIDE
-        count = np.uint64(runs[run, 1]) % WIDE + np.uint64(1)
+    """The transpose of :func:`mix`: add pixels ``[rows, W, 3]``, times the shares in them, to Gaussians ``[N, 3]``."""
+    splats, runs, values = shares
+    run = at = np.uint64(0)
+    for splat in range(splats.shape[0]):
+        owner, left = np.uint64(splats[splat, 0]), np.uint64(splats[splat, 1]) // RUNS * WIDE
         red = green = blue = ZERO
-        for i in range(count):
-            share = np.float32(values[at + i])
-            red += share * image[pixel + i, 0]
-            green += share * image[pixel + i, 1]
-            blue += share * image[pixel + i, 2]
+        for _ in range(np.uint64(splats[splat, 1]) % RUNS):
+            first, count = np.uint64(runs[run]) // WIDE, np.uint64(runs[run]) % WIDE + np.uint64(1)
+            y, x = first // WIDE, left + first % WIDE
+            for i in range(count):
+                share = np.float32(values[at + i])
+                red += share * image[y, x + i, 0]
+                green += share * image[y, x + i, 1]
+                blue += share * image[y, x + i, 2]
+            run, at = run + np.uint64(1), at + count
         colors[owner, 0] += red / STEPS
         colors[owner, 1] += green / STEPS
         colors[owner, 2] += blue / STEPS
-        at += count
 
 
 @compiled

@@ -61,10 +61,10 @@ class _Shares(LinearView):
     """A sparse matrix: the share of each Gaussian in each pixel. Composited when asked, for many are held at once."""
 
     def __init__(
-        self, shares: Shares, number: int, image: Float[Tensor, "5 H W"], background: tuple[float, float, float]
+        self, shares: list[Shares], number: int, image: Float[Tensor, "5 H W"], background: tuple[float, float, float]
     ) -> None:
         self._shares, self._number, self._image, self._behind = shares, number, image, background
-        self.nbytes = sum(array.nbytes for array in (*shares, image))
+        self.nbytes = image.nbytes + sum(array.nbytes for part in shares for array in part)
 
     @property
     def render(self) -> Renders:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -76,14 +76,15 @@ class _Shares(LinearView):
 
     def __call__(self, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
         height, width = self._image.shape[-2:]
-        given, image = colors.detach().float().contiguous().numpy(), torch.zeros(height * width, 3)
-        raster.mix(self._shares, given, image.numpy())
-        return image.T.reshape(3, height, width)
+        given, image = colors.detach().float().contiguous().numpy(), torch.zeros(height, width, 3)
+        for part, rows in zip(self._shares, image.split(raster.HEIGHT), strict=True):
+            raster.mix(part, given, rows.numpy())
+        return image.movedim(-1, 0)
 
     def transposed(self, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
-        image = pixels.detach().float().flatten(1).T.contiguous().numpy()
-        colors = torch.zeros(self._number, 3)
-        raster.mix_transposed(self._shares, image, colors.numpy())
+        image, colors = pixels.detach().float().movedim(0, -1).contiguous(), torch.zeros(self._number, 3)
+        for part, rows in zip(self._shares, image.split(raster.HEIGHT), strict=True):
+            raster.mix_transposed(part, rows.numpy(), colors.numpy())
         return colors
 
 

@@ -1,6 +1,6 @@
 """The stages of rendering one view, each a compiled kernel split into jobs for threads."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -120,8 +120,8 @@ def blend(
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
 
 
-def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper) -> Shares:
-    """The shares of Gaussians in the pixels of a view; the image ``[5, H, W]`` is written, too."""
+def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper) -> list[Shares]:
+    """The shares of Gaussians in the pixels of a view, by rows of tiles; the image ``[5, H, W]`` is written, too."""
     size = image.shape[1:]
     last = np.empty(size, np.int32)
 
@@ -129,16 +129,17 @@ def shares(splats: SortedSplats, cap: np.float32, image: np.ndarray, run: Mapper
         tiles, top = splats.tiles(row, size), row * raster.HEIGHT
         part, owners = splats.copies[splats.of(row)], splats.owners[splats.places[splats.of(row)]]
         raster.blend(part, tiles, top, cap, image, last)
-        return raster.shares(part, owners, tiles, min(raster.HEIGHT, size[0] - top), size[1], top, cap)
+        found = raster.shares(part, owners, tiles, min(raster.HEIGHT, size[0] - top), size[1], top, cap)
+        return Shares(*map(_mapped, found))
 
-    return Shares(*map(_mapped, zip(*run(job, range(len(splats.offsets) - 1)), strict=True)))
+    return list(run(job, range(len(splats.offsets) - 1)))
 
 
-def _mapped(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Parts in one piece, outside of the heap: what is kept would leave gaps there, which other sizes do not fill."""
-    shape = sum(map(len, parts)), *parts[0].shape[1:]
-    memory = mmap(-1, max(1, sum(part.nbytes for part in parts)))
-    return np.concatenate(parts, out=np.ndarray(shape, parts[0].dtype, memory))
+def _mapped(array: np.ndarray) -> np.ndarray:
+    """The same outside of the heap: what is kept would leave gaps there, which other sizes do not fill."""
+    copy = np.ndarray(array.shape, array.dtype, mmap(-1, max(1, array.nbytes)))
+    copy[:] = array
+    return copy
 
 
 def blend_backward(

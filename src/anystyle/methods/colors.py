@@ -24,7 +24,7 @@ EVIDENCE, NEIGHBORS = 1.0, 8
 ``NEIGHBORS`` that cover more."""
 COUNTED = 50_000
 """Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
-KEPT = 352 << 20
+KEPT = 288 << 20
 """Bytes of linear views that are kept in memory; the others are made again each time."""
 MIN_CONFIDENCE = 1e-3
 """Confidence of a pixel whose Gaussians all appear larger in another view."""
