@@ -29,7 +29,7 @@ from anystyle_captures.free_space import FreeSpace
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import unlike as differ
-from anystyle_captures.poses import adjusted, report
+from anystyle_captures.poses import adjusted, difference
 from anystyle_captures.sky import without_sky
 from anystyle_captures.start import GivenGaussians, read_start
 from anystyle_captures.stereo import plane_sweep
@@ -70,7 +70,6 @@ over has 0.07, one of nothing but leaves 0.09, and others have at most 0.035."""
 COARSE, RATE = 0.3, 0.5
 """Of a fit that begins with a given scene: see :class:`FitOptions`."""
 
-Refine = Literal["none", "poses", "lenses"]
 QualityLevel = Literal["draft", "good", "best", "full"]
 
 
@@ -86,7 +85,8 @@ class Fit(Reconstruction):
         holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it,
             together with those that show the same; the final steps see all views. Fewer views are not held out; 0 holds
             out none.
-        refine: Whether cameras that are not exact are refined first: ``poses``, or ``lenses`` (focal lengths, too).
+        refine: Whether cameras of a network or of another program are refined first, where they disagree with features
+            that the photographs share.
         start: A folder of results or a file of Gaussians to begin with, in place of depths by stereo, in half of the
             quality's steps.
         state: A file to write the fit to as it goes, and to resume it from.
@@ -105,7 +105,7 @@ class Fit(Reconstruction):
         num_steps: AtLeastOne | None = None,
         degree: Count = 0,
         holdout: Count = 8,
-        refine: Refine = "none",
+        refine: bool = True,
         start: str | None = None,
         state: str | None = None,
         keep: bool = True,
@@ -116,7 +116,7 @@ class Fit(Reconstruction):
         self.num_gaussians, self.num_steps = num_gaussians, num_steps
         self.degree, self.seed = degree, seed
         self.holdout, self.keep = holdout, keep
-        self.refine: Refine = refine
+        self.refine = refine
         self.start = None if start is None else expanded(start)
         self.state = None if state is None else expanded(state)
 
@@ -172,7 +172,7 @@ class Fit(Reconstruction):
                 heldout=heldout,
                 unseen=to_try(photographs, heldout, views.cameras),
                 masks=masks,
-                refine=self.refine,
+                refine=self.refine and points is None,
                 state=self.state,
                 keep=self.keep,
                 on_progress=on_progress,
@@ -198,12 +198,13 @@ class Fit(Reconstruction):
         measures |= {"train_psnr": result.train_psnr, "unexplained": usual, "dropout": result.dropout}
         found = {"kept": float(result.cached), "twins": float(views.images.shape[1] - len(photographs))}
         measures |= {name: value for name, value in found.items() if value}
-        heldout = {} if result.heldout is None else result.heldout._asdict()
-        if self.refine != "none":
-            refined = result.cameras(views.size)
-            measures |= report(views.cameras, refined)
+        refined = result.cameras(views.size)
+        if any(by := difference(views.cameras, refined)):
+            measures |= dict(zip(("cameras_turned_degrees", "cameras_moved"), by, strict=True))
             views = replace(views, cameras=refined)
-        measures |= {f"heldout_{name}": value for name, value in heldout.items()}
+        measures |= {
+            f"heldout_{name}": value for name, value in (result.heldout._asdict() if result.heldout else {}).items()
+        }
         views = to_paint(views, result, renderer, unlike)
         scene = scene_of_fit(views, encode(views), result, renderer)
         return Reconstructed(scene, measures)
@@ -254,7 +255,7 @@ def fit_photographs(
     heldout: Sequence[int] = (),
     unseen: Sequence[int] = (),
     masks: Masks | None = None,
-    refine: Refine = "none",
+    refine: bool = False,
     state: Path | None = None,
     keep: bool = False,
     on_progress: OnProgress = no_progress,
@@ -272,11 +273,9 @@ def fit_photographs(
     hidden, tried = (tuple(sorted(order.index(view) for view in views)) for views in (heldout, unseen))
     settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple))}
     masked = () if masks is None else (masks.alpha, masks.valid)
-    given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
     begun = () if start is None else vars(start.given).values()
-    key = key_of(
-        *given, num_gaussians, options, refine, hidden, tried, type(renderer).__name__, settings, *masked, *begun
-    )
+    given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ()), *masked, *begun
+    key = key_of(*given, num_gaussians, options, refine, hidden, tried, type(renderer).__name__, settings)
 
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
@@ -287,16 +286,13 @@ def fit_photographs(
 
         written = None if state is None else _written(state, key, images.device)
         posed = cameras if written is None else replace(cameras, **written["given"])
-        if refine != "none" and written is None:
-            lenses, seed = refine == "lenses", options.seed
-            found = adjusted(images, posed, masks, lenses=lenses, seed=seed, on_progress=on_progress)
+        refined = partial(adjusted, images, posed, masks, seed=options.seed, on_progress=on_progress)
+        found = refined() if refine and written is None else None
+        if found is not None:
             posed, first = try_cameras(posed, found, lambda cameras: initial(cameras, training))
-        elif start is None or refine != "none":
-            first = initial(posed, training)
         else:
-            first = InitialScene(start)
-        first = first if start is None else first._replace(gaussians=start)
-        given = posed, first, options
+            first = initial(posed, training) if start is None else InitialScene(start)
+        given = posed, first if start is None else first._replace(gaussians=start), options
         taught = [view for view in training if view not in tried and (masks is None or masks.measured[view].any())]
         if written is None and start is None and tried and taught:
             given = try_dropout(*given, begin, tried)

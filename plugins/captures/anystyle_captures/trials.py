@@ -13,8 +13,6 @@ from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.poses import difference
 
 logger = logging.getLogger(__name__)
-BETTER = 1.02
-"""In how many times as many pixels stereo must agree by refined cameras, or else those given are kept."""
 STEPS = 60
 """Of the trial that tells whether a scene is overfitted. It sees half of the photographs."""
 LEAST_GAP, LARGEST_GAP, MAX_DROPOUT = 0.11, 0.16, 0.3
@@ -27,19 +25,18 @@ def try_cameras(
 ) -> tuple[Cameras, InitialScene]:
     """Refined cameras and what a fit begins with by them, or exactly what was given.
 
-    They are taken where depths by stereo agree in more pixels, a measure that knows nothing of the features.
+    They are taken unless depths by stereo agree in fewer pixels, a measure that knows nothing of the features.
     """
     again = initial(found)
     try:
         start = initial(cameras)
     except UserError:  # no depth agrees by them
         start = again._replace(confirmed=0.0)
-    better = again.confirmed > BETTER * start.confirmed
+    better = again.confirmed >= start.confirmed
     turned, moved = difference(cameras, found)
     told = f"cameras refined by shared features differ by {turned:.2f}° and {moved:.1%} of their radius"
     shares = f"stereo agrees by them in {again.confirmed:.1%} of the pixels, by those given in {start.confirmed:.1%}"
-    level = logging.INFO if better else logging.WARNING  # what was asked for is not done
-    logger.log(level, "%s, %s: %s", told, shares, "they are taken" if better else "those given are kept")
+    logger.warning("%s, %s: %s", told, shares, "they are taken" if better else "those given are kept")
     return (found, again) if better else (cameras, start)
 
 

@@ -526,16 +526,9 @@ def blend_tile_backward(
             mxy += slope * dx * dy
             myy += slope * dy * dy
         part = np.uint64(entries[entry, 0])
-        moments[part, 0] += d_red
-        moments[part, 1] += d_green
-        moments[part, 2] += d_blue
-        moments[part, 3] += d_depth
-        moments[part, 4] += m0
-        moments[part, 5] += mx
-        moments[part, 6] += my
-        moments[part, 7] += mxx
-        moments[part, 8] += mxy
-        moments[part, 9] += myy
+        sums = d_red, d_green, d_blue, d_depth, m0, mx, my, mxx, mxy, myy
+        for k in range(MOMENTS):
+            moments[part, k] += sums[k]
 
 
 @summed
