@@ -13,6 +13,7 @@ from anystyle.commands import stylize
 from anystyle.pipeline import encode
 from anystyle.pipeline.weights import reference_config
 from anystyle.registry.compose import override
+from tests.support.program import failing
 from tests.support.weights_cases import small_checkpoint, training_checkpoint
 
 ENCODER = {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers": 1}
@@ -53,14 +54,9 @@ def words(photographs: Path, model: list[str], tmp_path: Path) -> list[str]:
 
 def refused(capsys, words: list[str], *more: str) -> str:
     """The one line that a command ends in; nothing is left behind."""
-    with pytest.raises(SystemExit) as caught:
-        stylize.main([*words, *more])
-    assert caught.value.code == 2
-    told = capsys.readouterr()
-    lines = [line for line in told.err.splitlines() if not line.endswith("…")]
-    assert len(lines) == 1 and lines[0].startswith("anystyle: error: "), lines
+    line = failing(stylize.main, capsys, *words, *more)
     assert not Path(words[words.index("--out") + 1]).exists()
-    return lines[0]
+    return line
 
 
 def test_files_that_are_not_the_checkpoint(words, checkpoint, tmp_path, capsys):

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from anystyle.commands import plugins_new
 from anystyle.evaluation.tables import STAND_IN
 from anystyle.registry.compose import compose
 from tests.support.evaluation_cases import folders, picture
+from tests.support.program import failing
 
 TOY = ["metric=[plain_change]"]
 
@@ -42,14 +44,7 @@ def flags(content, style, stylized):
     return ["--content", content, "--style", style, "--stylized", stylized]
 
 
-def fails(capsys, *words):
-    """Run a command that must end in one line and status 2; return the line."""
-    with pytest.raises(SystemExit) as caught:
-        run(*words)
-    assert caught.value.code == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("…")]
-    assert len(lines) == 1 and lines[0].startswith("anystyle: error: "), lines
-    return lines[0]
+fails = partial(failing, command.main)
 
 
 def metrics(out):

@@ -3,6 +3,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import partial
 
 import av
 import numpy as np
@@ -21,6 +22,7 @@ from anystyle.stylizer import Stylizer
 from anystyle_formats.command_export import export, parser
 from anystyle_formats.html import Html
 from anystyle_formats.splat import Splat
+from tests.support.program import failing
 
 SMALL = ["video.frames=3", "video.scale=0.5", "views.take=3", "views.short_side=56"]
 
@@ -29,14 +31,7 @@ def run(*words):
     stylize.main([str(word) for word in words])
 
 
-def fails(capsys, *words):
-    """Run a command that must end in one line and status 2; return the line."""
-    with pytest.raises(SystemExit) as caught:
-        run(*words)
-    assert caught.value.code == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("…")]
-    assert len(lines) == 1 and lines[0].startswith("anystyle: error: "), lines
-    return lines[0]
+fails = partial(failing, stylize.main)
 
 
 @pytest.fixture(scope="module")

@@ -94,6 +94,17 @@ def test_a_film_of_high_dynamic_range_says_so(tmp_path, caplog):
     assert "high dynamic range (HLG)" in caplog.text
 
 
+@pytest.mark.parametrize(("codec", "pixels"), [("libvpx-vp9", "yuva420p"), ("ffv1", "bgra"), ("ffv1", "yuv420p")])
+def test_a_film_with_transparency_says_that_it_is_not_used(codec, pixels, tmp_path, caplog):
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream(codec, rate=5)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, pixels
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((64, 96, 4), np.uint8), format="rgba")))
+        container.mux(stream.encode())
+    assert read_frames(tmp_path / "a.mkv", 1)
+    assert ("has an alpha channel" in caplog.text) == (pixels != "yuv420p")
+
+
 @pytest.mark.parametrize(("suffix", "codec"), [("mkv", "libx264"), ("webm", "libvpx-vp9"), ("mp4", "libx264")])
 @pytest.mark.parametrize("count", [48, 47, 24])
 def test_as_many_frames_as_asked_for_are_read(tmp_path, suffix, codec, count):

@@ -7,10 +7,12 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
+
+import pytest
 
 from anystyle.__main__ import main
 from anystyle.registry import catalog, packages
@@ -54,3 +56,13 @@ def program(words: Sequence[str], folder: Path, environment: Mapping[str, str]) 
         if (file := getattr(module, "__file__", None)) and Path(file).is_relative_to(folder):
             del sys.modules[name]
     return Done(status, out.getvalue(), err.getvalue())
+
+
+def failing(main: Callable[[list[str]], object], capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """Run a command that must end in one line and status 2; return the line."""
+    with pytest.raises(SystemExit) as caught:
+        main([str(word) for word in words])
+    assert caught.value.code == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("…")]
+    assert len(lines) == 1 and lines[0].startswith("anystyle: error: "), lines
+    return lines[0]

@@ -143,6 +143,9 @@ def _inspect(path: Path, count: int) -> _Timeline:
             require(3 * min(count, len(ends)) * size.width * size.height, what, "take fewer (views.take)")
             if (curve := _HDR.get(size.color_trc)) is not None:
                 _log.warning("%s is a film of high dynamic range (%s), whose colours come out pale", path, curve)
+            parts = getattr(size.format, "components", ())  # VP9 has it in a stream of its own
+            if any(part.is_alpha for part in parts) or stream.metadata.get("alpha_mode") == "1":
+                _log.warning("%s has an alpha channel, which is not used: give its frames as PNG to use it", path)
         aspect = float(stream.sample_aspect_ratio or 1)
         if aspect != 1:
             _log.warning("%s has pixels %.2f times as wide as high; its frames are widened as players do", path, aspect)

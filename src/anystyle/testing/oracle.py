@@ -95,9 +95,7 @@ def bounds(key: str, shape: Sequence[int]) -> tuple[float, float]:
     if leaf in ("weight", "in_proj_weight") and len(shape) >= 2:
         half = float(np.sqrt(3.0 / np.prod(shape[1:])))
         return -half, half
-    if leaf == "weight" and len(shape) == 1:
-        return 0.9, 1.1
-    return -0.1, 0.1
+    return (0.9, 1.1) if leaf == "weight" and len(shape) == 1 else (-0.1, 0.1)
 
 
 def record(tensor: Tensor, samples: int = 24) -> dict[str, Any]:

@@ -85,9 +85,7 @@ def _remedy(value: Tensor, axes: Sequence[str]) -> str:
         return "levels of 8 bits are divided: .float() / 255"
     if is_image and value.ndim >= 3 and given[-3] != 3 and given[-1] in (1, 3, 4):
         return "colours come before the rows: [..., :3].movedim(-1, -3)"
-    if value.ndim == len(axes) - 1:
-        return "the first axis, of scenes, is missing: [None]"
-    return ""
+    return "the first axis, of scenes, is missing: [None]" if value.ndim == len(axes) - 1 else ""
 
 
 def _axis(axis: str, bound: Mapping[str, int]) -> str:
