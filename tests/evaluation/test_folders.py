@@ -34,9 +34,8 @@ def test_scenes_styles_and_frames(tmp_path):
 
 def test_what_has_no_partner_is_listed(tmp_path):
     content, style, stylized = folders(tmp_path)
-    picture(stylized / "one" / "a_7.png", 0)
-    picture(stylized / "one" / "c_0.png", 0)
-    picture(stylized / "three" / "d_9.png", 0)
+    for name in ("one/a_7.png", "one/c_0.png", "three/d_9.png"):
+        picture(stylized / name, 0)
     with pytest.raises(ValueError) as caught:
         pair(content, style, stylized)
     assert str(caught.value) == (

@@ -133,7 +133,8 @@ class Exposures:
 
     def train(self, training: list[int]) -> None:
         """Set the views whose exposure is learnt; the others take that of the nearest ones, by inverse distance."""
-        distance = torch.cdist(self.centers, self.centers[training])  # V T
+        # In double precision: by products of matrices, far from the origin, as on a map.
+        distance = torch.cdist(self.centers.double(), self.centers[training].double()).float()  # V T
         nearest = distance.topk(min(NEAREST_EXPOSURES, len(training)), largest=False)
         weight = 1 / nearest.values.clamp_min(1e-9)
         blend = torch.zeros_like(distance).scatter(1, nearest.indices, weight / weight.sum(1, keepdim=True))
@@ -267,7 +268,7 @@ class FitLoop:
     @torch.no_grad()
     def _prune(self) -> None:
         scales, opacities = (self.splats.parameters[name] for name in ("scales", "opacities"))
-        distance = torch.cdist(self.gaussians().means[0], self.cameras.world_from_camera[0, :, :3, 3]).amin(1)
+        distance = torch.cdist(self.gaussians().means[0].double(), self.exposures.centers.double()).amin(1)
         keep = (opacities.sigmoid() >= MIN_OPACITY) & (scales.amax(1).exp() <= MAX_FOOTPRINTS * self.splats.units)
         self.splats.select((keep & (distance >= self.nearest)).nonzero()[:, 0])
         self._clear()

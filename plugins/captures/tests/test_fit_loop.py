@@ -5,6 +5,7 @@ from math import radians
 
 import pytest
 import torch
+from torch.nn.functional import pad
 
 from anystyle.geometry.transforms import matrix_from_vector
 from anystyle_captures import fit_loop
@@ -144,10 +145,13 @@ def test_a_held_out_view_adds_nothing_where_the_scene_shows_nothing(photographs,
     assert depth.abs().min() > 0.1
 
 
-def test_what_shows_nothing_is_removed(photographs, monkeypatch):
+def test_what_shows_nothing_is_removed_and_nothing_else_far_from_the_origin(photographs, monkeypatch):
+    """Such as in coordinates of a map."""
     monkeypatch.setattr(fit_loop, "PRUNE_EVERY", 1)
     images, cameras, _ = photographs
-    lifted = initial(photographs)
+    away, lifted = torch.tensor([8000.0, 8000.0, 0.0]), initial(photographs)
+    lifted = replace(lifted, means=lifted.means + away)
+    cameras = replace(cameras, world_from_camera=cameras.world_from_camera + pad(away[:, None], (3, 0, 0, 1)))
     run = FitLoop(images, cameras, InitialScene(lifted), RENDERER, FitOptions(num_steps=50))
     with torch.no_grad():
         run.splats.parameters["opacities"][10:30] = -9.0
