@@ -24,8 +24,8 @@ logger = logging.getLogger(__name__)
 ERRORS = 64.0, 16.0, 4.0
 """Largest errors of features, of one adjustment after the other, in pixels of photographs whose longer side has 512 or
 more. Matches are verified without cameras, so that the first may be off by degrees."""
-ONE_LENS = 1.05
-"""Largest ratio of focal lengths, which a network predicts view by view, that are taken for those of one lens."""
+ONE_LENS = 0.02
+"""Largest standard deviation of the logarithms of focal lengths, which a network predicts view by view, of one lens."""
 EXACT = 0.2
 """Distance of features from where cameras have them, in pixels searched, by which these need no adjustment: of nine
 captures' cameras seven have 0.11 to 0.19, and 0.26 to 1.2 where each is turned by 0.1° and moved by 0.2 %."""
@@ -48,8 +48,7 @@ def adjusted(
     each time again while it gains. Cameras of about the same focal length have one lens. Photographs without matches
     keep their cameras.
     """
-    focal = cameras.intrinsics[0, :, 0, 0]
-    if focal.amax() < ONE_LENS * focal.amin():
+    if cameras.intrinsics[0, :, 0, 0].log().std(correction=0) < ONE_LENS:
         cameras = replace(cameras, intrinsics=cameras.intrinsics.median(1, True).values.expand_as(cameras.intrinsics))
     _, lens = torch.unique(cameras.intrinsics[0], dim=0, return_inverse=True)
     pixels = (255 * images).round().byte().movedim(1, -1).cpu().numpy()
@@ -64,9 +63,12 @@ def adjusted(
             return None
         best, least = cameras, epipolar_distance(cameras, graph)
         for lenses in (False, True) if least > EXACT else ():
-            while (found := _refined(folder, best, graph, lenses, seed))[1] < LOWER * least:
+            found = cameras, least  # not the best, whose poses make up for a wrong lens, part by part of the capture
+            while (found := _refined(folder, found[0], graph, lenses, seed))[1] < LOWER * least:
                 best, least = found
-    return None if best is cameras else best
+    poses, given = best.world_from_camera.double(), cameras.world_from_camera[0].double()
+    placed = similarity_of_cameras(poses[0], given).poses(poses).to(cameras.world_from_camera)
+    return None if best is cameras else replace(best, world_from_camera=placed)
 
 
 def epipolar_distance(cameras: Cameras, graph: ViewGraph) -> float:
@@ -87,9 +89,8 @@ def epipolar_distance(cameras: Cameras, graph: ViewGraph) -> float:
 
 
 def _refined(folder: Path, cameras: Cameras, graph: ViewGraph, lenses: bool, seed: int) -> tuple[Cameras, float]:
-    """Cameras in the frame of those given, and their :func:`epipolar_distance`."""
-    given, intrinsics = cameras.world_from_camera[0], cameras.intrinsics[0].clone()
-    poses = given.cpu().double().clone()
+    """Cameras after one adjustment, and their :func:`epipolar_distance`."""
+    poses, intrinsics = cameras.world_from_camera[0].cpu().double().clone(), cameras.intrinsics[0].clone()
     model = _given(folder, cameras.to("cpu").resized(graph.sizes[0]))
     for error in ERRORS:
         model = _adjusted(folder, model, error, lenses, seed)
@@ -99,8 +100,7 @@ def _refined(folder: Path, cameras: Cameras, graph: ViewGraph, lenses: bool, see
         if lenses:
             camera.rescale(cameras.size[1], cameras.size[0])
             intrinsics[view] = torch.from_numpy(camera.calibration_matrix())
-    poses = similarity_of_cameras(poses, given.to(poses)).poses(poses)
-    found = replace(cameras, world_from_camera=poses[None].to(given), intrinsics=intrinsics[None])
+    found = replace(cameras, world_from_camera=poses[None].to(cameras.world_from_camera), intrinsics=intrinsics[None])
     return found, epipolar_distance(found, graph)
 
 
