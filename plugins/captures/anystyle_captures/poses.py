@@ -67,8 +67,9 @@ def adjusted(
             while (found := _refined(folder, found[0], graph, lenses, seed))[1] < LOWER * least:
                 best, least = found
     poses, given = best.world_from_camera.double(), cameras.world_from_camera[0].double()
-    placed = similarity_of_cameras(poses[0], given).poses(poses).to(cameras.world_from_camera)
-    return None if best is cameras else replace(best, world_from_camera=placed)
+    # Where given positions say nothing of a unit, the frame stays that of two cameras, which adjustments leave as it is.
+    placed = between.poses(poses) if (between := similarity_of_cameras(poses[0], given)).scale > 0.1 else poses
+    return None if best is cameras else replace(best, world_from_camera=placed.to(cameras.world_from_camera))
 
 
 def epipolar_distance(cameras: Cameras, graph: ViewGraph) -> float:
