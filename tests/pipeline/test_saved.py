@@ -172,7 +172,7 @@ def test_memory_is_told_and_refused_before(monkeypatch):
     monkeypatch.setattr("anystyle.pipeline.encode.available", lambda device: 4 << 30)
     cameras = Cameras(torch.zeros(1, 24, 4, 4), torch.zeros(1, 24, 3, 3), (384, 384))
     line = require_splat(1_000_000, cameras, device)
-    assert line == "1,000,000 Gaussians from 24 views take about 1.1 GiB"
+    assert line == "1,000,000 Gaussians from 24 views take about 1 GiB"
     with pytest.raises(ValueError, match=r"fewer Gaussians, or fewer views with splat\.cameras"):
         require_splat(5_000_000, cameras, device)
 
