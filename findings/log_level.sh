@@ -4,7 +4,7 @@
 # `pycolmap.logging.minloglevel = 3` (FATAL) silences COLMAP, whose every stage else writes lines to standard error.
 # `pycolmap.bundle_adjustment` leaves it at 0: it writes its own two lines, though `print_summary` is off, and mapping,
 # triangulation and matching after it write theirs. `create_default_bundle_adjuster(...).solve()` does the same
-# adjustment, to the bit, and leaves the level alone.
+# adjustment, to 1e-6, and leaves the level alone.
 # Seen: a synthetic model of five images and fifty points, with noise of a pixel.
 set -euo pipefail
 cd "$(mktemp -d)"

@@ -115,8 +115,7 @@ class Fit(Reconstruction):
         self.short_side, self.max_views = self.preset.short_side, MAX_VIEWS
         self.num_gaussians, self.num_steps = num_gaussians, num_steps
         self.degree, self.seed = degree, seed
-        self.holdout, self.keep = holdout, keep
-        self.refine = refine
+        self.holdout, self.refine, self.keep = holdout, refine, keep
         self.start = None if start is None else expanded(start)
         self.state = None if state is None else expanded(state)
 
@@ -202,9 +201,8 @@ class Fit(Reconstruction):
         if any(by := difference(views.cameras, refined)):
             measures |= dict(zip(("cameras_turned_degrees", "cameras_moved"), by, strict=True))
             views = replace(views, cameras=refined)
-        measures |= {
-            f"heldout_{name}": value for name, value in (result.heldout._asdict() if result.heldout else {}).items()
-        }
+        quality = {} if result.heldout is None else result.heldout._asdict()
+        measures |= {f"heldout_{name}": value for name, value in quality.items()}
         views = to_paint(views, result, renderer, unlike)
         scene = scene_of_fit(views, encode(views), result, renderer)
         return Reconstructed(scene, measures)
@@ -286,8 +284,9 @@ def fit_photographs(
 
         written = None if state is None else _written(state, key, images.device)
         posed = cameras if written is None else replace(cameras, **written["given"])
-        refined = partial(adjusted, images, posed, masks, seed=options.seed, on_progress=on_progress)
-        found = refined() if refine and written is None else None
+        found = None
+        if refine and written is None:
+            found = adjusted(images, posed, masks, seed=options.seed, on_progress=on_progress)
         if found is not None:
             posed, first = try_cameras(posed, found, lambda cameras: initial(cameras, training))
         else:

@@ -133,7 +133,7 @@ class Exposures:
 
     def train(self, training: list[int]) -> None:
         """Set the views whose exposure is learnt; the others take that of the nearest ones, by inverse distance."""
-        # In double precision: by products of matrices, far from the origin, as on a map.
+        # In double precision: products of matrices, which it takes, lose distances far from the origin, as on a map.
         distance = torch.cdist(self.centers.double(), self.centers[training].double()).float()  # V T
         nearest = distance.topk(min(NEAREST_EXPOSURES, len(training)), largest=False)
         weight = 1 / nearest.values.clamp_min(1e-9)

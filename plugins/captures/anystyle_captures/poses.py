@@ -25,13 +25,13 @@ ERRORS = 64.0, 16.0, 4.0
 """Largest errors of features, of one adjustment after the other, in pixels of photographs whose longer side has 512 or
 more. Matches are verified without cameras, so that the first may be off by degrees."""
 ONE_LENS = 0.02
-"""Largest standard deviation of the logarithms of focal lengths, which a network predicts view by view, of one lens."""
+"""Largest standard deviation of the logarithms of one lens's focal lengths, of which a network predicts one a view."""
 EXACT = 0.2
 """Distance of features from where cameras have them, in pixels searched, by which these need no adjustment: of nine
 captures' cameras seven have 0.11 to 0.19, and 0.26 to 1.2 where each is turned by 0.1° and moved by 0.2 %."""
 LOWER = 0.9
-"""Times which distance of features from where cameras have them is lower. Of six captures, that of adjusted cameras was
-0.97 to 1.05 times that of exact ones, and with other focal lengths 0.55 to 0.88 times that of some off by 20 %."""
+"""Largest ratio of that distance after an adjustment to before with which it is taken. Of six captures the ratio was
+0.97 to 1.05 for exact cameras, and 0.55 to 0.88 for adjusted focal lengths where those given were off by 20 %."""
 
 
 def adjusted(
