@@ -28,3 +28,7 @@ def test_a_similarity_of_cameras_is_found_and_undone():
     # Cameras on one spot leave the scale open: it is kept.
     alone = similarity_of_cameras(source[:1], target[:1])
     assert float(alone.scale) == 1.0 and torch.allclose(alone.poses(source[:1]), target[:1], atol=1e-9)
+    # Where they move the other way, or not at all, no scale fits them.
+    for factor in (-1, 0):
+        target[:, :3, 3] *= factor
+        assert float(similarity_of_cameras(source, target).scale) == 0

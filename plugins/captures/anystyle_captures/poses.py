@@ -68,7 +68,7 @@ def adjusted(
                 best, least = found
     poses, given = best.world_from_camera.double(), cameras.world_from_camera[0].double()
     # Where given positions say nothing of a unit, the frame stays that of two cameras, which adjustments leave alone.
-    placed = between.poses(poses) if (between := similarity_of_cameras(poses[0], given)).scale > 0.1 else poses
+    placed = between.poses(poses) if (between := similarity_of_cameras(poses[0], given)).scale > 0 else poses
     return None if best is cameras else replace(best, world_from_camera=placed.to(cameras.world_from_camera))
 
 

@@ -45,7 +45,8 @@ def read_start(path: Path, views: Views) -> GivenGaussians:
     It is brought there by its own cameras, of results or beside the file, where at least two have the names of views.
 
     Raises:
-        UserError: No scene can be read, or cameras see less than :data:`SEEN` of it.
+        UserError: No scene can be read, its cameras move otherwise than those of the same photographs, or these see
+            less than :data:`SEEN` of it.
     """
     assert views.cameras is not None
     path, cameras = file_of(path), views.cameras.to("cpu")
@@ -55,6 +56,8 @@ def read_start(path: Path, views: Views) -> GivenGaussians:
     if len(both := [name for name in named if name in own]) > 1:
         there, here = saved.cameras.select([own[name] for name in both]), cameras.select([named[name] for name in both])
         change = similarity_of_cameras(there.world_from_camera[0].double(), here.world_from_camera[0].double())
+        if not change.scale > 0:
+            raise UserError(f"reconstruction.start={path}: its cameras do not move as the photographs' cameras do")
         poses = change.poses(there.world_from_camera.double())
         turned, moved = difference(here, replace(there, world_from_camera=poses))
         change = type(change)(*(part.to(gaussians.means) for part in change))
@@ -71,12 +74,8 @@ def read_start(path: Path, views: Views) -> GivenGaussians:
             f"reconstruction.start={path}: the photographs' cameras see {share:.0%} of its Gaussians: it is of another "
             "scene or in another frame; give a folder of results, or a file with its cameras beside it"
         )
-    logger.warning(
-        "the fit begins with the %d Gaussians of %s, %s; photographs held out may have been seen by them",
-        len(means),
-        path,
-        frame,
-    )
+    told = f"the fit begins with the {len(means)} Gaussians of {path}, {frame}"
+    logger.warning("%s; photographs held out may have been seen by them", told)
     return GivenGaussians(gaussians, distance / cameras.intrinsics[0, :, 0, 0].mean()).to(views.images.device)
 
 

@@ -62,6 +62,8 @@ def test_a_scene_of_another_frame_is_aligned_by_the_cameras_of_the_same_photogra
     torch.testing.assert_close(start.footprints, nearest / 50)
     with pytest.raises(UserError, match="of another scene or in another frame"):
         read_start(saved(tmp_path, ELSEWHERE.gaussians(wall()), there, [f"x{view}" for view in range(9)]), views)
+    with pytest.raises(UserError, match="do not move as the photographs' cameras do"):
+        read_start(saved(tmp_path, ELSEWHERE.gaussians(wall()), there, NAMES[::-1]), views)
 
 
 @pytest.mark.parametrize("degree", (0, 1, 3))

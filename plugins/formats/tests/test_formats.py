@@ -159,17 +159,9 @@ def test_what_a_file_cannot_hold_is_one_line(tmp_path, caplog):
         (full, "spz", ["harmonics above degree 3 are left out"]),
         (full, "ksplat", ["harmonics above degree 2 are left out"]),
         (hidden, "ply", ["3 of 400 Gaussians are left out (with opacity 0)"]),
-        (
-            vast,
-            "spz",
-            ["above degree 3", "400 Gaussians, what SPZ cannot hold is cut: colours of 2, harmonics of 2"],
-        ),
+        (vast, "spz", ["above degree 3", "400 Gaussians, what SPZ cannot hold is cut: colours of 2, harmonics of 2"]),
         (flat, "spz", ["above degree 3", "of 400 Gaussians, what SPZ cannot hold is cut: sizes of 4"]),
-        (
-            far,
-            "spz",
-            ["above degree 3", "multiples of 0.015625, and would be of 3.8147e-06 without 1 of 400"],
-        ),
+        (far, "spz", ["above degree 3", "multiples of 0.015625, and would be of 3.8147e-06 without 1 of 400"]),
     ):
         caplog.clear()
         with atomic_directory(tmp_path / name) as folder:

@@ -150,12 +150,13 @@ def similarity_of_cameras(source: Float[Tensor, "V 4 4"], target: Float[Tensor, 
 
     The rotation is the chordal mean of the views' rotations, since the positions of a few cameras on a line leave it
     open; scale and translation then have the least squared error of the positions. Cameras at one position keep their
-    scale. ``source`` and ``target`` are world from camera in the old and new frame.
+    scale; positions that do not move alike, with a correlation of at most 0.1, have none: it is 0. ``source`` and
+    ``target`` are world from camera in the old and new frame.
     """
     rotation = nearest_rotation((target[:, :3, :3] @ source[:, :3, :3].mT).mean(0))
     rotated, positions = source[:, :3, 3] @ rotation.mT, target[:, :3, 3]
     source_spread, target_spread = rotated - rotated.mean(0), positions - positions.mean(0)
-    size = source_spread.square().sum()
-    scale = (source_spread * target_spread).sum().clamp_min(0) / size.clamp_min(1e-12)
-    scale = torch.where(size > 1e-12, scale, 1.0)
+    size, product = source_spread.square().sum(), (source_spread * target_spread).sum()
+    alike = product > 0.1 * size.sqrt() * target_spread.norm()
+    scale = torch.where(size > 1e-12, torch.where(alike, product / size.clamp_min(1e-12), 0.0), 1.0)
     return Similarity(scale, rotation, positions.mean(0) - scale * rotated.mean(0))

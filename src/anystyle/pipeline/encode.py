@@ -363,7 +363,7 @@ def _capture_from_group(last: Group, scene: Scene, indices: Sequence[int]) -> Si
 def scene_from_known(known: Float[Tensor, "V 4 4"], predicted: Float[Tensor, "V 4 4"]) -> Similarity:
     """The similarity from the frame of known cameras to that of predicted ones, all of them world from camera."""
     similarity = similarity_of_cameras(known, predicted)
-    if not bool(similarity.scale > 1e-9):
+    if not bool(similarity.scale > 0):
         raise UserError(
             "the cameras that are stored, or were found, do not match the images as the backbone sees them: they move "
             "the other way; check that stored ones are in the images' order, or use poses=predicted"
