@@ -112,32 +112,30 @@ def dissimilarity(
 
 @kernel
 def sweep(reference: Array, sources: Array, homographies: Array, radius: int, costs: Array) -> None:
-    """Write the matching costs of planes: means over the better half of the sources, which leaves out the occluded."""
+    """Write the costs of planes: means over the better half of up to four sources, which leaves out the occluded."""
     height, width = reference.shape
     num_sources, num_planes = homographies.shape[:2]
-    num_best = (num_sources + 1) // 2
     mean, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     statistics(reference, radius, mean, variance)
     warped, inside = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
-    cost = np.empty((num_sources, height, width), np.float32)
+    cost, second = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    least = np.ones((num_planes, height, width), np.float32)
     for d in range(num_planes):
+        second[:] = np.float32(1)
         for k in range(num_sources):
             warp(sources[k], homographies[k, d], warped, inside)
-            dissimilarity(warped, inside, reference, mean, variance, radius, cost[k])
-        # An insertion sort of each pixel's few costs, one pass over the image for each exchange.
-        for k in range(1, num_sources):
-            for i in range(k, 0, -1):
-                for y in range(height):
-                    for x in range(width):
-                        better = min(cost[i - 1, y, x], cost[i, y, x])
-                        cost[i, y, x] = max(cost[i - 1, y, x], cost[i, y, x])
-                        cost[i - 1, y, x] = better
-        for y in range(height):
-            for x in range(width):
-                total = np.float32(0)
-                for k in range(num_best):
-                    total += cost[k, y, x]
-                costs[y, x, d] = max(total / np.float32(num_best), np.float32(0))
+            dissimilarity(warped, inside, reference, mean, variance, radius, cost)
+            for y in range(height):
+                for x in range(width):
+                    second[y, x] = min(second[y, x], max(least[d, y, x], cost[y, x]))
+                    least[d, y, x] = min(least[d, y, x], cost[y, x])
+        if num_sources > 2:
+            least[d] = (least[d] + second) / np.float32(2)
+    # At last, for what is written plane by plane would lie far apart.
+    for y in range(height):
+        for x in range(width):
+            for d in range(num_planes):
+                costs[y, x, d] = max(least[d, y, x], np.float32(0))
 
 
 @kernel
