@@ -57,7 +57,8 @@ def read_start(path: Path, views: Views) -> GivenGaussians:
         there, here = saved.cameras.select([own[name] for name in both]), cameras.select([named[name] for name in both])
         change = similarity_of_cameras(there.world_from_camera[0].double(), here.world_from_camera[0].double())
         if not change.scale > 0:
-            raise UserError(f"reconstruction.start={path}: its cameras do not move as the photographs' cameras do")
+            told = "its cameras do not move as the photographs' cameras do; give a scene of the same photographs"
+            raise UserError(f"reconstruction.start={path}: {told}")
         poses = change.poses(there.world_from_camera.double())
         turned, moved = difference(here, replace(there, world_from_camera=poses))
         change = type(change)(*(part.to(gaussians.means) for part in change))

@@ -131,7 +131,7 @@ def sweep(reference: Array, sources: Array, homographies: Array, radius: int, co
                     least[d, y, x] = min(least[d, y, x], cost[y, x])
         if num_sources > 2:
             least[d] = (least[d] + second) / np.float32(2)
-    # At last, for what is written plane by plane would lie far apart.
+    # All planes of a pixel together, which lie side by side in memory.
     for y in range(height):
         for x in range(width):
             for d in range(num_planes):

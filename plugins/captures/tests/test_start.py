@@ -48,8 +48,7 @@ def test_a_result_gives_what_all_steps_do_in_half_of_them(views, tmp_path):
     start = read_start(saved(tmp_path, draft.gaussians), views)
     whole, half = fit(views), fit(views, warm(OPTIONS, half=True), start=start)
     assert (half.steps, len(start.footprints)) == (30, draft.gaussians.means.shape[1])
-    # It keeps what the draft has of this simple scene; seeds differ by 0.2 dB.
-    assert half.heldout.psnr > max(whole.heldout.psnr, draft.heldout.psnr - 0.3)
+    assert half.heldout.psnr > max(whole.heldout.psnr, draft.heldout.psnr)
 
 
 def test_a_scene_of_another_frame_is_aligned_by_the_cameras_of_the_same_photographs(views, tmp_path, caplog):

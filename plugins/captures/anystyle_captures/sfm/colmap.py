@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 DEFAULT_FOCAL = 1.2
 """Initial focal length where nothing is known, in longer sides of the photograph."""
 MAPPING_THREADS = 1
-"""The solver's sums depend on it, and cameras must not depend on the machine; mapping is a tenth of the time."""
+"""The solver's sums depend on it, and cameras must not depend on the machine."""
 TRACKS = 500
 """Tracks of features a view that the global mapper solves by, before it triangulates all: with more, 1,700 on a
 film of 48 frames, it took twice the time for cameras that fit no better."""
