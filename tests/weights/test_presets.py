@@ -82,10 +82,7 @@ print(json.dumps(result))
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory of files is told apart on Linux")
-@pytest.mark.parametrize(
-    ("stored", "precision"),
-    [(torch.bfloat16, "fp32"), (torch.float32, "bf16")],
-)
+@pytest.mark.parametrize(("stored", "precision"), [(torch.bfloat16, "fp32"), (torch.float32, "bf16")])
 def test_loading_holds_no_second_copy(tmp_path: Path, stored: torch.dtype, precision: str) -> None:
     """Not even where every tensor changes its type; on files of 250 and 500 MB, in a process of its own."""
     grown(tmp_path / "it.safetensors", 512, stored)

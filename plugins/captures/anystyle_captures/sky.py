@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from anystyle.types import Cameras
-from anystyle_captures.stereo import RADIUS, StereoDepth
+from anystyle_captures.stereo import StereoDepth
+from anystyle_captures.stereo_kernels import RADIUS
 
 PLAIN = 0.02
 """Standard deviation of grey values, in [0, 1], in a window of stereo below which depths are guesses."""

@@ -13,122 +13,118 @@ from anystyle.compiled import CONTRACT, compiled
 Array = np.ndarray
 
 kernel = partial(compiled, fastmath=CONTRACT | {"reassoc"})
+RADIUS = 3
+SIDE = 2 * RADIUS + 1
+"""Windows have a side of so many pixels."""
 NOISE = np.float32(2e-4)
 """Added to variances of grey values in [0, 1], so that the noise of flat regions does not correlate."""
+
+
+@kernel
+def places(
+    h: Array, y: int, width: int, height: int, inside: Array, corners: Array, across: Array, down: Array
+) -> None:
+    """Where a homography takes the pixels of row ``y``: the upper left one of four to blend, by index, and shares."""
+    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
+    right, bottom, v = np.float32(width), np.float32(height), np.float32(y) + half
+    for x in range(corners.shape[0]):
+        u = np.float32(x) + half
+        w = h[2, 0] * u + h[2, 1] * v + h[2, 2]
+        s = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / w
+        t = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / w
+        inside[x] = (w > zero) & (s >= zero) & (s <= right) & (t >= zero) & (t <= bottom)
+        s, t = min(max(s - half, zero), right - one), min(max(t - half, zero), bottom - one)
+        i, j = min(np.floor(s), right - one - one), min(np.floor(t), bottom - one - one)
+        corners[x], across[x], down[x] = np.int32(j) * np.int32(width) + np.int32(i), s - i, t - j
+
+
+@kernel
+def blend(texels: Array, width: int, corners: Array, across: Array, down: Array, row: Array) -> None:
+    """Interpolate bilinearly. Indices without a sign are looked up without a test for one."""
+    one, below = np.uint64(1), np.uint64(width)
+    for x in range(row.shape[0]):
+        k = corners[x]
+        top = texels[k] + across[x] * (texels[k + one] - texels[k])
+        k = k + below
+        low = texels[k] + across[x] * (texels[k + one] - texels[k])
+        row[x] = top + down[x] * (low - top)
 
 
 @kernel
 def warp(source: Array, homography: Array, warped: Array, inside: Array) -> None:
     """Sample an image bilinearly where a homography takes every pixel centre; at the border the image is continued."""
     height, width = source.shape
-    h = homography.astype(np.float32)
-    half, one = np.float32(0.5), np.float32(1)
-    right, bottom = np.float32(width), np.float32(height)
+    h, texels, count = homography.astype(np.float32), source.reshape(-1), warped.shape[1]
+    corners, across, down = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32)
     for y in range(warped.shape[0]):
-        v = np.float32(y) + half
-        for x in range(warped.shape[1]):
-            u = np.float32(x) + half
-            w = h[2, 0] * u + h[2, 1] * v + h[2, 2]
-            s = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / w
-            t = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / w
-            inside[y, x] = (w > 0) & (s >= 0) & (s <= right) & (t >= 0) & (t <= bottom)
-            s = min(max(s - half, np.float32(0)), right - one)
-            t = min(max(t - half, np.float32(0)), bottom - one)
-            i, j = min(int(s), width - 2), min(int(t), height - 2)
-            a, b = s - np.float32(i), t - np.float32(j)
-            top = source[j, i] + a * (source[j, i + 1] - source[j, i])
-            low = source[j + 1, i] + a * (source[j + 1, i + 1] - source[j + 1, i])
-            warped[y, x] = top + b * (low - top)
+        places(h, y, width, height, inside[y], corners, across, down)
+        blend(texels, width, corners.view(np.uint32), across, down, warped[y])
 
 
 @kernel
-def add_row(a: Array, b: Array, sign: float, columns: Array, radius: int) -> None:
-    """Add (or subtract) a row of ``a``, ``a²`` and ``a b`` to sums of columns ``[3, W + 2 radius]``, padded after."""
+def slide(a: Array, b: Array, left_a: Array, left_b: Array, columns: Array) -> None:
+    """Take a row into sums of ``a``, ``a²`` and ``a b`` over columns ``[3, W + 2 RADIUS]``, padded, and one out."""
     width = a.shape[0]
     for x in range(width):
-        value = sign * a[x]
-        columns[0, radius + x] += value
-        columns[1, radius + x] += value * a[x]
-        columns[2, radius + x] += value * b[x]
+        columns[0, RADIUS + x] += a[x] - left_a[x]
+        columns[1, RADIUS + x] += a[x] * a[x] - left_a[x] * left_a[x]
+        columns[2, RADIUS + x] += a[x] * b[x] - left_a[x] * left_b[x]
     for k in range(3):
-        for x in range(radius):
-            columns[k, x] = columns[k, radius]
-            columns[k, radius + width + x] = columns[k, radius + width - 1]
+        for x in range(RADIUS):
+            columns[k, x] = columns[k, RADIUS]
+            columns[k, RADIUS + width + x] = columns[k, RADIUS + width - 1]
 
 
 @kernel
-def window_row(columns: Array, radius: int, sums: Array) -> None:
-    """Write the means over windows ``[3, W]`` from sums of columns ``[3, W + 2 radius]``."""
-    width = sums.shape[1]
-    fraction = np.float32(1.0 / (2 * radius + 1) ** 2)
-    for k in range(3):
-        for x in range(width):
-            sums[k, x] = columns[k, x]
-        for shift in range(1, 2 * radius + 1):
-            for x in range(width):
-                sums[k, x] += columns[k, x + shift]
-        for x in range(width):
-            sums[k, x] *= fraction
+def dissimilarity(columns: Array, mean: Array, variance: Array, row: Array) -> None:
+    """Write 1 - ZNCC of windows, given such sums, and mean and variance of the reference."""
+    area = np.float32(SIDE * SIDE)
+    for x in range(row.shape[0]):
+        a, aa, ab = columns[0, x], columns[1, x], columns[2, x]
+        for shift in range(1, SIDE):
+            a += columns[0, x + shift]
+            aa += columns[1, x + shift]
+            ab += columns[2, x + shift]
+        a, aa, ab = a / area, aa / area, ab / area
+        spread = max(aa - a * a, np.float32(0))
+        row[x] = np.float32(1) - (ab - a * mean[x]) / np.sqrt((spread + NOISE) * (variance[x] + NOISE))
 
 
 @kernel
-def statistics(image: Array, radius: int, mean: Array, variance: Array) -> None:
-    """Write mean and variance ``[H, W]`` of an image in square windows; the image is continued at its border."""
-    height, width = image.shape
-    columns, sums = np.zeros((3, width + 2 * radius), np.float32), np.empty((3, width), np.float32)
-    for y in range(-radius, radius + 1):
-        add_row(image[min(max(y, 0), height - 1)], image[0], np.float32(1), columns, radius)
-    for y in range(height):
-        window_row(columns, radius, sums)
-        for x in range(width):
-            mean[y, x] = sums[0, x]
-            variance[y, x] = max(sums[1, x] - sums[0, x] * sums[0, x], np.float32(0))
-        add_row(image[min(y + radius + 1, height - 1)], image[0], np.float32(1), columns, radius)
-        add_row(image[max(y - radius, 0)], image[0], np.float32(-1), columns, radius)
+def keep_two(row: Array, inside: Array, least: Array, second: Array) -> None:
+    """Keep the two smallest costs of each pixel; a cost is at most 1, which it is outside."""
+    for x in range(row.shape[0]):
+        value = row[x] if inside[x] else np.float32(1)
+        second[x] = min(second[x], max(least[x], value))
+        least[x] = min(least[x], value)
 
 
 @kernel
-def dissimilarity(
-    warped: Array, inside: Array, reference: Array, mean: Array, variance: Array, radius: int, cost: Array
-) -> None:
-    """Write 1 - ZNCC ``[H, W]`` of two images in square windows, at most 1, which it is outside."""
-    height, width = reference.shape
-    one = np.float32(1)
-    columns, sums = np.zeros((3, width + 2 * radius), np.float32), np.empty((3, width), np.float32)
-    for y in range(-radius, radius + 1):
-        row = min(max(y, 0), height - 1)
-        add_row(warped[row], reference[row], one, columns, radius)
-    for y in range(height):
-        window_row(columns, radius, sums)
-        for x in range(width):
-            spread = max(sums[1, x] - sums[0, x] * sums[0, x], np.float32(0))
-            both = sums[2, x] - sums[0, x] * mean[y, x]
-            value = one - both / np.sqrt((spread + NOISE) * (variance[y, x] + NOISE))
-            cost[y, x] = min(value, one) if inside[y, x] else one
-        last, first = min(y + radius + 1, height - 1), max(y - radius, 0)
-        add_row(warped[last], reference[last], one, columns, radius)
-        add_row(warped[first], reference[first], -one, columns, radius)
+def sweep(reference: Array, mean: Array, variance: Array, sources: Array, homographies: Array, costs: Array) -> None:
+    """Write the costs of planes, 1 - ZNCC in square windows of images that are continued at their borders.
 
-
-@kernel
-def sweep(reference: Array, sources: Array, homographies: Array, radius: int, costs: Array) -> None:
-    """Write the costs of planes: means over the better half of up to four sources, which leaves out the occluded."""
+    They are means over the better half of up to four sources, which leaves out the occluded.
+    """
     height, width = reference.shape
     num_sources, num_planes = homographies.shape[:2]
-    mean, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    statistics(reference, radius, mean, variance)
     warped, inside = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
-    cost, second = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    least = np.ones((num_planes, height, width), np.float32)
+    nothing, row = np.zeros(width, np.float32), np.empty(width, np.float32)
+    second, least = np.empty((height, width), np.float32), np.ones((num_planes, height, width), np.float32)
     for d in range(num_planes):
         second[:] = np.float32(1)
         for k in range(num_sources):
             warp(sources[k], homographies[k, d], warped, inside)
-            dissimilarity(warped, inside, reference, mean, variance, radius, cost)
-            for y in range(height):
-                for x in range(width):
-                    second[y, x] = min(second[y, x], max(least[d, y, x], cost[y, x]))
-                    least[d, y, x] = min(least[d, y, x], cost[y, x])
+            columns = np.zeros((3, width + 2 * RADIUS), np.float32)
+            for y in range(-RADIUS, height + RADIUS):
+                new, old = min(max(y, 0), height - 1), min(max(y - SIDE, 0), height - 1)
+                if y <= RADIUS:
+                    slide(warped[new], reference[new], nothing, nothing, columns)
+                else:
+                    slide(warped[new], reference[new], warped[old], reference[old], columns)
+                if y >= RADIUS:
+                    middle = y - RADIUS
+                    dissimilarity(columns, mean[middle], variance[middle], row)
+                    keep_two(row, inside[middle], least[d, middle], second[middle])
         if num_sources > 2:
             least[d] = (least[d] + second) / np.float32(2)
     # All planes of a pixel together, which lie side by side in memory.

@@ -65,8 +65,7 @@ def held_out(photographs: Sequence[Sequence[int]], every: int, cameras: Cameras 
     """
     places = [list(group) for group in photographs]
     if cameras is not None:
-        centers = cameras.world_from_camera[0, :, :3, 3].double()
-        near = SAME_PLACE * (centers - centers.mean(0)).norm(dim=1).amax()
+        centers, near = cameras.world_from_camera[0, :, :3, 3].double(), same_place(cameras)
         places = list[list[int]]()
         for group in photographs:
             place = next((one for one in places if (centers[one[0]] - centers[group[0]]).norm() < near), None)
@@ -78,3 +77,9 @@ def held_out(photographs: Sequence[Sequence[int]], every: int, cameras: Cameras 
 def to_try(photographs: Sequence[Sequence[int]], heldout: Sequence[int], cameras: Cameras) -> tuple[int, ...]:
     """Every second of the others, for a trial that does not see them."""
     return held_out([group for group in photographs if group[0] not in heldout], 2, cameras)
+
+
+def same_place(cameras: Cameras) -> float:
+    """Distance up to which cameras show no parallax, as the views of a panorama."""
+    centers = cameras.world_from_camera[0, :, :3, 3].double()
+    return SAME_PLACE * float((centers - centers.mean(0)).norm(dim=1).amax())

@@ -20,7 +20,7 @@ from anystyle_captures.fit_loop import FitOptions
 from anystyle_captures.panorama import Cut, closes, cut_of
 from anystyle_captures.sfm.model import Photograph, SearchOptions
 from anystyle_captures.sfm.trust import agreement
-from anystyle_captures.stereo import _neighbors, _Rig
+from anystyle_captures.stereo import _neighbors
 from anystyle_captures.structure_from_motion import StructureFromMotion, find_cameras
 from anystyle_captures.twins import held_out
 from anystyle_cpu_renderer.renderer import CpuRenderer
@@ -138,8 +138,8 @@ def test_a_film_of_panoramas_fits_as_well_as_pinhole_pictures_from_known_places(
     known = (poses[:, None] @ known).reshape(-1, 4, 4)
     difference = agreement(cameras.world_from_camera[0].double().numpy(), known)
     assert difference.rotation.max() < 0.1 and difference.position.max() < 0.01
-    rig = _Rig(cameras.intrinsics[0].double(), cameras.camera_from_world[0].double())
-    for view, others in enumerate(_neighbors(rig, posed.points, cameras.size)):  # stereo sees none in two of one place
+    # Stereo sees none in two of one place.
+    for view, others in enumerate(_neighbors(cameras.map(torch.Tensor.double), posed.points)):
         assert others and all(other // 7 != view // 7 for other in others)
     exact = [averaged(room(rays_of(cut, pose[:3, :3], 448), pose[:3, 3]), 4) for pose in known]
     exact = torch.stack([torch.from_numpy(np.array(picture)).permute(2, 0, 1) / 255 for picture in exact])

@@ -37,10 +37,7 @@ def test_styled_aggregator_at_full_width() -> None:
     # Five layers have five published injectors, of which those of layers 0 and 4 are called; the others only count.
     injectors = {f"aggregator/{layer}": ZeroConv(dim=1024, style_dim=512) for layer in (0, 4, 5, 6, 7)}
     parts = torch.nn.ModuleDict(
-        {
-            "aggregator": Aggregator(1024, make_block, **options),
-            "injectors": torch.nn.ModuleDict(injectors),
-        }
+        {"aggregator": Aggregator(1024, make_block, **options), "injectors": torch.nn.ModuleDict(injectors)}
     )
     assert reference.fill(parts, keys.branch_names, published="aggregator_injection.") == record["n_keys"]
     stem = Tokens(hashed(1005, (1, 2, 9, 1024), -1, 1), grid=(2, 2), special=5)
