@@ -67,8 +67,8 @@ MAX_UNEXPLAINED = 0.01
 MAX_UNEXPLAINED_OF_ONE, FAR_MORE = 0.05, 5
 """The same fraction of single photographs, and its ratio to the median: a photograph of an object that had been turned
 over has 0.07, one of nothing but leaves 0.09, and others have at most 0.035."""
-COARSE, RATE = 0.3, 0.5
-"""Of a fit that begins with a given scene: see :class:`FitOptions`."""
+WARM = {"half_resolution": 0.0, "averaged": 0.8, "rate": 0.5}
+"""Options of a fit that begins with a given scene, near which it stays."""
 
 QualityLevel = Literal["draft", "good", "best", "full"]
 
@@ -211,7 +211,7 @@ class Fit(Reconstruction):
 def warm(options: FitOptions, *, half: bool) -> FitOptions:
     """Options of a fit that begins with a given scene; ``half``: in half of the steps."""
     steps, final = (math.ceil(number / (2 if half else 1)) for number in (options.num_steps, options.final_steps))
-    return replace(options, num_steps=steps, final_steps=final, half_resolution=COARSE, rate=RATE)
+    return replace(options, num_steps=steps, final_steps=final, **WARM)
 
 
 def unlike_most(unexplained: Float[Tensor, " V"], usual: float) -> list[int]:

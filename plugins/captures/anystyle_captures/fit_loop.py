@@ -32,9 +32,7 @@ RATES = {
     "colors": 0.03,  # of constant harmonics
     "harmonics": 0.0015,  # of the others
 }
-"""The learning rates. They do not fall: the scene is the mean of the last steps instead."""
-AVERAGED = 0.2
-"""The fraction of the steps, and again of the final ones, that the mean is over (Polyak and Juditsky 1992)."""
+"""The learning rates. They do not fall: the scene is the mean of the last steps instead (Polyak and Juditsky 1992)."""
 VISITS = 4
 """How often a pass of the final steps sees each view that was held out; the others once."""
 SHOWN = 0.5
@@ -67,6 +65,7 @@ class FitOptions:
     num_steps: int = 1000  # of one view each
     half_resolution: float = 0.6  # fraction of the steps that is taken at half the resolution
     dropout: float = 0.1  # fraction of the Gaussians that a step leaves out, as DropGaussian (Park et al. 2025)
+    averaged: float = 0.2  # the fraction of the steps, and again of the final ones, that the scene is the mean of
     rate: float = 1.0  # factor on the learning rates of Gaussians and exposures
     degree: int = 0  # of the spherical harmonics
     exposure_lr: float = 0.003  # falls to a tenth; 0 disables exposure
@@ -238,7 +237,7 @@ class FitLoop:
         self.exposures.adam.rates["values"] = options.rate * options.exposure_lr * 0.1**fraction
         self.exposures.adam.step()
         self.exposures.center()
-        last = max(1, round(AVERAGED * stage))
+        last = max(1, round(options.averaged * stage))
         if done >= stage - last:
             self._average(last if done + 1 == stage else 0)
         self.step += 1

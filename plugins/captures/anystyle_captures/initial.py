@@ -88,15 +88,17 @@ def backdrop(
 
     As many lie around the photographs, in the colours of their borders; there are none at or beside masked pixels.
     """
-    supported, valid = stereo.support >= 1, ~stereo.depth.isnan()
-    bottom, right = (round(SURROUND * side) for side in images.shape[-2:])
-    sides = (right, right, bottom, bottom)
-    around = pad(torch.zeros_like(supported), sides, value=True)
-    around &= pad(valid[None].float(), sides, mode="replicate")[0] > 0
-    inside = _drawn(~supported & valid, num_gaussians, generator)
-    pixels = torch.cat([inside, _drawn(around, num_gaussians, generator) - torch.tensor([0, bottom, right])])
-    far = torch.full((len(pixels),), farthest(stereo))
-    return lift(images, cameras, far, pixels, largest=float("inf"), fraction=OVERLAP)
+    valid, (views, height, width) = ~stereo.depth.isnan(), stereo.depth.shape
+    bottom, right = round(SURROUND * height), round(SURROUND * width)
+    ranges = (0, views), (-bottom, height + bottom), (-right, width + right)
+    # Far more than are taken, for those within photographs and beside masked pixels are left out.
+    view, y, x = (torch.randint(*ends, (16 * num_gaussians,), generator=generator) for ends in ranges)
+    within = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+    beside = valid[view, y.clamp(0, height - 1), x.clamp(0, width - 1)]
+    around = torch.stack([view, y, x], dim=1)[~within & beside][:num_gaussians]
+    pixels = torch.cat([_drawn((stereo.support < 1) & valid, num_gaussians, generator), around])
+    depth = torch.full((len(pixels),), farthest(stereo))
+    return lift(images, cameras, depth, pixels, largest=float("inf"), fraction=OVERLAP)
 
 
 def farthest(stereo: StereoDepth) -> float:
