@@ -161,8 +161,8 @@ def told(stored: Mapping[str, Array]) -> Held:
     """What columns of any type hold."""
     values = {name: column.astype("f8") for name, column in stored.items()}
     if "f_dc_0" not in values:
-        top = {"u": 255.0 if stored["red"].dtype.itemsize == 1 else 65535.0}.get(stored["red"].dtype.kind)
-        top = top or (255.0 if max(values[name].max() for name in ("red", "green", "blue")) > 1 else 1.0)
+        largest = max(values[name].max() for name in ("red", "green", "blue"))
+        top = 65535.0 if largest > 255 else 255.0 if largest > 1 else 1.0
         for index, name in enumerate(("red", "green", "blue")):
             values[f"f_dc_{index}"] = (values[name] / top - 0.5) / C0
     return held_by(values)
@@ -174,10 +174,11 @@ def typed() -> dict[str, Callable[[dict[str, Array]], tuple[dict[str, Array], di
     def colors(kind: str, top: float, both: bool = False):
         given = {name: draw.integers(0, 256, COUNT) * (top / 255) for name in ("red", "green", "blue")}
         line = f"red, green and blue are read as numbers from 0 to {top:g}"
+        guessed = () if both or (kind, top) in (("u1", 255), ("u2", 65535)) else (line,)
 
         def change(values: dict[str, Array]):
             kept = {name: column for name, column in values.items() if both or not name.startswith("f_dc")}
-            return kept | given, dict.fromkeys(given, kind), () if both or kind[0] == "u" else (line,)
+            return kept | given, dict.fromkeys(given, kind), guessed
 
         return change
 
@@ -192,6 +193,8 @@ def typed() -> dict[str, Callable[[dict[str, Array]], tuple[dict[str, Array], di
         "normals in bytes": rounded,
         "colours in bytes": colors("u1", 255),
         "colours in 16 bits": colors("u2", 65535),
+        "bytes in 16 bits": colors("u2", 255),
+        "bytes in 32 bits": colors("u4", 255),
         "colours to 1": colors("f4", 1),
         "colours to 255": colors("f4", 255),
         "colours twice": colors("u1", 255, both=True),
