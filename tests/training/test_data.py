@@ -5,10 +5,13 @@ import os
 import signal
 from types import SimpleNamespace
 
+import lightning.pytorch as pl
 import pytest
 import torch
+from lightning.pytorch.demos.boring_classes import BoringModel
 
 from anystyle.contracts import SceneSource
+from anystyle.errors import UserError
 from anystyle.testing.oracle import hashed
 from anystyle.training.data import StepData, StepLoader
 from anystyle.training.scene_cache import CachedScenes
@@ -88,11 +91,20 @@ def test_a_loader_starts_where_the_run_stands_and_draws_no_random_number(workers
 def test_batches_are_pinned_where_a_card_takes_them(device):
     strategy = SimpleNamespace(root_device=torch.device(device))
     data = StepData(Steps())
-    data.trainer = SimpleNamespace(
-        accumulate_grad_batches=2, global_step=3, max_steps=5, global_rank=0, world_size=1, strategy=strategy
-    )
+    steps = {"accumulate_grad_batches": 2, "global_step": 3, "max_steps": 5}
+    data.trainer = SimpleNamespace(**steps, global_rank=0, world_size=1, strategy=strategy, optimizers=[])
     loader = data.train_dataloader().loader
     assert loader.pin_memory == (device == "cuda") and loader.sampler == range(6, 10)
+
+
+@pytest.mark.filterwarnings("ignore")  # of Lightning
+def test_several_optimizers_each_of_whose_steps_lightning_counts_are_refused():
+    module = BoringModel()
+    module.automatic_optimization = False
+    module.configure_optimizers = lambda: [torch.optim.SGD(module.parameters(), 0.1) for _ in range(2)]
+    trainer = pl.Trainer(max_steps=2, accelerator="cpu", logger=False, enable_checkpointing=False)
+    with pytest.raises(UserError, match="a training has one optimizer"):
+        trainer.fit(module, datamodule=StepData(Steps()))
 
 
 @pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])

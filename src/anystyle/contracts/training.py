@@ -23,7 +23,7 @@ class BatchSource(Protocol):
 
 
 class Training(Pluggable, pl.LightningModule, ABC):
-    """What ``anystyle train`` trains: ``training_step`` and ``configure_optimizers`` are Lightning's.
+    """What ``anystyle train`` trains, by one optimizer: ``training_step`` and ``configure_optimizers`` are Lightning's.
 
     The constructor names the parts it needs among ``backbone``, ``style_encoder``, ``renderer``, ``stylizer`` and
     ``losses``, which the framework passes, and further options. A step takes its random numbers from the global

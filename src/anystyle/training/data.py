@@ -236,11 +236,11 @@ class StepData(pl.LightningDataModule):
     def train_dataloader(self) -> StepLoader:
         trainer = self.trainer
         assert trainer is not None
+        if len(trainer.optimizers) > 1:  # Lightning's step counts the calls of all
+            raise UserError("a training has one optimizer; give it groups of parameters in place of several optimizers")
         steps = range(*(step * trainer.accumulate_grad_batches for step in (trainer.global_step, trainer.max_steps)))
         rank, world, pin = trainer.global_rank, trainer.world_size, trainer.strategy.root_device.type == "cuda"
         return StepLoader(self.train, steps, rank=rank, world=world, workers=self.workers, pin=pin)
 
     def val_dataloader(self) -> StepLoader | list[Value]:
-        if self.validation is None:
-            return []
-        return StepLoader(self.validation, range(self.validation_steps))
+        return [] if self.validation is None else StepLoader(self.validation, range(self.validation_steps))
