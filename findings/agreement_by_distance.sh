@@ -13,6 +13,7 @@
 # No warning. krippendorff raises for words that have no order. Of nltk's, alpha and the last alone know distances.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet krippendorff==0.9.0 nltk==3.10.4 irrCAC==0.4.4 scikit-learn==1.9.1 numpy==1.26.4 \
     scipy==1.12.0 pandas==2.3.3

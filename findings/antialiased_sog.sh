@@ -9,6 +9,7 @@
 # several times too opaque. A writer of SOG that wants to be understood writes both keys.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 npm init -y > npm.log
 npm install --no-fund --no-audit --silent node@22.23.3 @playcanvas/splat-transform@3.7.0
 python3 -m venv env

@@ -11,6 +11,7 @@
 # last step, BatchNorm's means among them.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 lightning==2.6.6 numpy==2.4.6 "setuptools<81"
 env/bin/python - 2> log.txt <<'PYTHON'

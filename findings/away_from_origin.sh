@@ -13,6 +13,7 @@
 # No warning. Models in coordinates of a map are such points: subtract the mean first, or use double precision.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 numpy==2.4.6 scipy==1.17.1 POT==0.9.7.post1 geomloss==0.3.1 \
     scikit-learn==1.9.1 faiss-cpu==1.15.1 torchmetrics==1.9.0

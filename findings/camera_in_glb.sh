@@ -13,6 +13,7 @@
 # vertical angle alone and the sides of the photograph.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet trimesh==5.2.0 pygltflib==1.16.5 numpy==2.4.6
 npm init -y > npm.log

@@ -9,6 +9,7 @@
 # Seen: 12 positions, one similarity with rotation 20, -30, 70 degrees (xyz) and scale 1.7, no noise.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 open3d==0.20.0 roma==1.8.0 gtsam==4.3.0 scikit-image==0.26.0 trimesh==5.2.0 \
     evo==1.38.1 pycolmap==4.2.1 scipy

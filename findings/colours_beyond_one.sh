@@ -12,6 +12,7 @@
 # Floats of 0 to 255 instead: rerun has 1 for 255. and 236 for 20., trimesh 255 for both. No warning. Clip first.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 rerun-sdk==0.41.0 vtk==9.7.2 pyvista==0.49.1 pymeshlab==2025.7.post1 \
     vedo==2026.6.3 trimesh==5.2.0 viser==1.1.1 matplotlib==3.11.2

@@ -10,6 +10,7 @@
 # TypeError. OmegaConf.to_container(cfg, resolve=True) gives all four the same.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 lightning==2.6.6 omegaconf==2.3.0 tensorboard==2.21.0 wandb==0.31.0 \
     mlflow-skinny==3.17.2 sqlalchemy==2.1.9 alembic==1.20.1 numpy==2.4.6 "setuptools<81"

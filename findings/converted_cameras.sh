@@ -13,6 +13,7 @@
 # kapture's OpenMVG has f 510, the mean, for both; its OpenSfM refuses PINHOLE. No warning of any of this.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet camorph==1.0.0 kapture==1.1.12 numpy==1.26.4 pillow==13.0.0
 mkdir -p model images out

@@ -15,6 +15,7 @@
 # pixels are looked up the other way. Give `criteria` of 100 steps and 1e-9, or num_iters=100.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 kornia==0.9.0 opencv-python-headless==5.0.0.93 pycolmap==4.2.1 gtsam==4.3.0 \
     numpy==2.4.6

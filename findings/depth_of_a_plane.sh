@@ -13,6 +13,7 @@
 # camera's pose.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 mitsuba==3.9.1 vtk==9.7.2 pyvista==0.49.1 point-cloud-utils==0.34.0
 env/bin/python - 2> log.txt <<'PYTHON'

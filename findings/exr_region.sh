@@ -11,6 +11,7 @@
 # off the principal point; what lies around is zero for some and not there for others.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 OpenEXR==3.5.3 OpenImageIO==3.2.2.0 pyexr==0.5.0 mitsuba==3.9.1 av==18.1.0 \
     imageio==2.38.1 opencv-python-headless==5.0.0.93

@@ -13,6 +13,7 @@
 # cam_ray_from_img is described as supporting rays that face back. Mask such pixels before features are found.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 numpy==2.4.6 pycolmap==4.2.1 kornia==0.9.0 opencv-python-headless==5.0.0.93 \
     poselib==2.0.5 gtsam==4.3.0

@@ -14,6 +14,7 @@
 # linear values is within 0.004 on average, COLOR_RGB2Luv within 0.02 and exact there and back; both end at 1, too.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 kornia==0.9.0 opencv-python-headless==5.0.0.93 \
     scikit-image==0.26.0 numpy==2.4.6

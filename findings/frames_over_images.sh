@@ -9,6 +9,7 @@
 # so that two programs open one folder with two sets of cameras. After such an edit, delete both files.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet pycolmap==4.2.1 numpy==2.4.6
 env/bin/python - <<'PYTHON'

@@ -13,6 +13,7 @@
 # the deviation of chroma, which is 0 but for rounding; mkl stays grey but for 27 levels.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet color-matcher==0.6.0 scikit-image==0.26.0 POT==0.9.7.post1 numpy==2.4.6 scipy==1.17.1
 env/bin/python -W error::RuntimeWarning - <<'PYTHON'

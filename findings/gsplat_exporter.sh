@@ -9,6 +9,7 @@
 #    Morton curve, so that masks, labels or another style's colours stored by row no longer belong to them.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 numpy==2.2.6 plyfile==1.1.2
 env/bin/pip download --quiet --no-deps gsplat==1.5.3

@@ -11,6 +11,7 @@
 # then resize, or multiply by alpha before and divide after.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 kornia==0.9.0 numpy==2.4.6 pillow==13.0.0 opencv-python-headless==5.0.0.93 \
     scikit-image==0.26.0 av==18.1.0 OpenImageIO==3.2.2.0 pyvips==3.2.0 pyvips-binary==8.18.7

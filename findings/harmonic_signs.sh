@@ -15,6 +15,7 @@
 # Seen: 200 directions.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 drjit==1.5.0 sphericart==2.0.4 pyshtools==4.14.1 torch==2.13.0 e3nn==0.6.0
 env/bin/python - <<'PYTHON'

@@ -13,6 +13,7 @@
 # SSIM, whose constants are there for this, is 1 in all three.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 "setuptools<81" numpy==2.4.6 sewar==0.4.10
 python3 -m venv older  # image-similarity-measures takes NumPy 1

@@ -13,6 +13,7 @@
 # No warning of any of these. Give the header to LasData, with a scale of a millionth of the scene.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet laspy==2.7.0 numpy==2.4.6
 env/bin/python -W error - <<'PYTHON'

@@ -8,6 +8,7 @@
 # Seen: a synthetic model of five images and fifty points, with noise of a pixel.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet pycolmap==4.2.1 numpy==2.4.6
 env/bin/python - 2> log.txt <<'PYTHON'

@@ -8,6 +8,7 @@
 # pairs 2.4 times that of one call.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet pycolmap==4.2.1 numpy==2.4.6
 env/bin/python - <<'PYTHON'

@@ -10,6 +10,7 @@
 # of the same four tables is 0.72, 0.70, -0.02 and -0.02.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet statsmodels==0.14.6 krippendorff==0.9.0 numpy==2.4.6 scipy==1.17.1 pandas==3.0.3
 env/bin/python -W error - <<'PYTHON'

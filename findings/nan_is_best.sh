@@ -10,6 +10,7 @@
 # 2.6.6's ModelCheckpoint takes epochs 1 and 0 for the four scores. Look at `compute_all()` before `best_metric`.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 lightning==2.6.6 numpy==2.4.6 "setuptools<81"
 env/bin/python - 2> log.txt <<'PYTHON'

@@ -10,6 +10,7 @@
 # times over give -10.1, a hundred times -11.6, while strengths of methods that do win stay as they are.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet choix==0.4.1 numpy==2.4.6 scipy==1.17.1
 env/bin/python - <<'PYTHON'

@@ -9,6 +9,7 @@
 # Left out beforehand, all is well.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet crowd-kit==1.4.2 numpy==2.4.6 pandas==3.0.3
 env/bin/python - <<'PYTHON'

@@ -14,6 +14,7 @@
 # a file; times in quotes.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet hydra-core==1.3.8 omegaconf==2.3.1
 mkdir conf

@@ -13,6 +13,7 @@
 # 0.5 - cx / W and cy / H - 0.5. All three then have the axis at (300, 200).
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet trimesh==5.2.0 mitsuba==3.9.1 vtk==9.7.2 usd-core==26.11 numpy==2.4.6
 env/bin/python - <<'PYTHON'

@@ -14,6 +14,7 @@
 # Report the size in pixels and the package with such a score, or halve both pictures oneself.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 numpy==2.4.6 scipy==1.17.1
 env/bin/pip install --quiet --no-deps piq==0.8.0 piqa==1.3.2 pytorch-msssim==1.0.0

@@ -9,6 +9,7 @@
 # principal point for the second. No warning.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet open3d==0.20.0 numpy==2.2.6
 env/bin/python - <<'PYTHON'

@@ -9,6 +9,7 @@
 #    refuse any long table, saying that blocks are duplicated, for one score a person, too.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet scikit-posthocs==0.17.1 pandas==3.1.1 scipy==1.17.1 numpy==2.4.6
 env/bin/python - <<'PYTHON'

@@ -10,6 +10,7 @@
 # Seen: a panorama of 1024 x 512 pixels whose values are the directions in which they lie.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 torch==2.13.0 py360convert==1.0.4 av==18.1.0
 env/bin/pip install --quiet --no-deps pyequilib==0.6.0 pytorch360convert==0.2.3

@@ -9,6 +9,7 @@
 # Seen: 2 x 3 numbers from 1 to 6.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 pillow==13.0.0 opencv-python-headless==5.0.0.93 av==18.1.0 \
     imageio==2.38.1 OpenImageIO==3.2.2.0

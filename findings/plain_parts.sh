@@ -15,6 +15,7 @@
 # 2 % of SAM, whose arc cosine ends in the same way, and 46 % of DSS.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 numpy==2.4.6
 env/bin/pip install --quiet --no-deps piq==0.8.0 piqa==1.3.2 pytorch-msssim==1.0.0

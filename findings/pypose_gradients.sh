@@ -12,6 +12,7 @@
 # 0.01 is found by Adam, too. Adam wants its parameter in `so3` or `se3`, and a network's quaternion another library.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 numpy==2.4.6 pypose==0.9.5 roma==1.8.0
 env/bin/python - <<'PYTHON'

@@ -9,6 +9,7 @@
 # rowan, gtsam; -165, the long way round, by pytransform3d's quaternion_slerp and quaternionic 1.0.18's slerp.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 kornia==0.9.0 pytransform3d==3.17.0 viser==1.1.1 trimesh==5.2.0 \
     pypose==0.9.5 gtsam==4.3.0 spatialmath-python==1.1.18 roma==1.8.0 rowan==1.3.2 quaternionic==1.0.18

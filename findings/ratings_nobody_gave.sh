@@ -11,6 +11,7 @@
 # of NaN, with warnings of logarithms and a Hessian; of one that has a last such level: "shapes not aligned".
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet scikit-learn==1.9.1 statsmodels==0.15.0 krippendorff==0.9.0 torchmetrics==1.9.0 torch==2.13.0 \
   numpy==2.4.6 scipy==1.17.1 pandas==2.3.3

@@ -8,6 +8,7 @@
 # Seen: a ramp whose values are their own columns, 32 of them.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 kornia==0.9.0 opencv-python-headless==5.0.0.93 scikit-image==0.26.0
 env/bin/python -W error - <<'PYTHON'

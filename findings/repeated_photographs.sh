@@ -11,6 +11,7 @@
 # are of one distribution. Recall stays. No warning. Give every photograph once.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 prdc==0.2 scikit-learn==1.9.1 scipy==1.17.1 numpy==2.4.6 pillow==13.0.0 tqdm
 env/bin/pip install --quiet --no-deps torch-fidelity==0.4.0

@@ -13,6 +13,7 @@
 # No warning.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet choix==0.4.1 evalica==0.4.2 crowd-kit==1.4.2 numpy==1.26.4 scipy==1.12.0 pandas==2.3.3
 env/bin/python -W error - <<'PYTHON'

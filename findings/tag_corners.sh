@@ -14,6 +14,7 @@
 # the last of OpenCV's before they meet points of COLMAP; a scale from sides of 160 pixels is up to 0.7 % too large.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 opencv-python-headless==5.0.0.93 pyapriltags==3.4.3.1 \
     pupil-apriltags==1.0.4.post11 robotpy-apriltag==2026.2.2

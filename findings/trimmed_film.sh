@@ -8,6 +8,7 @@
 # Frames drawn evenly from 48 are, by more than a third, no frames. Count what is decoded.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 av==18.1.0 opencv-python-headless==5.0.0.93 decord==0.6.0
 env/bin/python - <<'PYTHON'

@@ -10,6 +10,7 @@
 # `compute_groups=False` each is updated.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 numpy==2.4.6
 env/bin/python -W error - <<'PYTHON'

@@ -13,6 +13,7 @@
 # No warning. Add all groups before the scheduler, with frozen parameters: those without a gradient are left alone.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 lightning==2.6.6 numpy==2.4.6 "setuptools<81"
 env/bin/python - 2> log.txt <<'PYTHON'

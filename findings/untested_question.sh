@@ -13,6 +13,7 @@
 # SciPy 1.17.1 `false_discovery_control` raises. Leave out what has no p-value, and say so.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet statsmodels==0.15.0 pingouin==0.7.0 scikit-posthocs==0.17.1 scipy==1.17.1 numpy==2.4.6 \
     pandas==2.3.3 scikit-learn==1.9.1

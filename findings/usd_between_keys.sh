@@ -14,6 +14,7 @@
 # No warning of any of this. Write a key for each frame, or orient and translate ops, and normalise quaternions.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet usd-core==26.11 numpy==2.4.6
 env/bin/python -W error - <<'PYTHON'

@@ -14,6 +14,7 @@
 # No warning. With all frames 1/30 s apart all are right. Decode in order, and count what comes.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet numpy==2.4.6 av==18.1.0 opencv-python-headless==5.0.0.93 decord==0.6.0 imageio==2.38.1 \
     imageio-ffmpeg==0.8.1 moviepy==2.2.1

@@ -12,6 +12,7 @@
 # Seen: 1000 random Gaussians, by the packages' own functions, without a screen. Node.js 22 of npm.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 npm init -y > npm.log
 npm install --no-fund --no-audit --silent node@22.23.3 @babylonjs/core@9.28.0 gsplat@1.2.9
 python3 -m venv env

@@ -14,6 +14,7 @@
 # repeats are such rows: index each once, with its number of times, or search exactly.
 set -euo pipefail
 cd "$(mktemp -d)"
+trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet hnswlib==0.8.0 usearch==2.26.6 numkong==7.8.6 voyager==2.2.3 \
     faiss-cpu==1.15.1 annoy==1.17.3 numpy==2.4.6 scipy==1.17.1
