@@ -90,8 +90,9 @@ class SortedSplats(NamedTuple):
 SPLAT = 16
 """Numbers of a splat, of which :mod:`anystyle_cpu_renderer.projection` names the columns: one cache line."""
 
-HEIGHT, WIDTH = 32, 16
-"""Of a tile in pixels: its planes fit into the L1 cache. A job is one row of tiles."""
+HEIGHT, WIDTH = 32, 8
+"""Of a tile in pixels: a row is one vector of most processors, and the planes fit into the L1 cache. A job is one row of
+tiles."""
 
 BLOCK = 32
 """Splats of a tile that are blended before it is looked whether all its pixels are full."""
