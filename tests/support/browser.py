@@ -12,12 +12,7 @@ from playwright.sync_api import Browser, Error, Page, sync_playwright
 
 NAMES = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
 ARGUMENTS = (  # with WebGL without a graphics card
-    *(
-        "--no-sandbox",
-        "--no-first-run",
-        "--disable-gpu",
-        "--enable-unsafe-swiftshader",
-    ),
+    *("--no-sandbox", "--no-first-run", "--disable-gpu", "--enable-unsafe-swiftshader"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
 PATIENCE = 120
