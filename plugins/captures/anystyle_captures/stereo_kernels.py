@@ -33,7 +33,8 @@ def places(
         s = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / w
         t = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / w
         inside[x] = (w > zero) & (s >= zero) & (s <= right) & (t >= zero) & (t <= bottom)
-        s, t = min(max(s - half, zero), right - one), min(max(t - half, zero), bottom - one)
+        # In this order what is not a number, 0 / 0, becomes zero.
+        s, t = min(max(zero, s - half), right - one), min(max(zero, t - half), bottom - one)
         i, j = min(np.floor(s), right - one - one), min(np.floor(t), bottom - one - one)
         corners[x], across[x], down[x] = np.int32(j) * np.int32(width) + np.int32(i), s - i, t - j
 

@@ -1,8 +1,10 @@
 """Depths by stereo in exact pictures of a known world."""
 
+import numpy as np
 import torch
 
 from anystyle_captures.stereo import plane_sweep
+from anystyle_captures.stereo_kernels import warp
 from tests.support.cards import photographed
 
 
@@ -15,3 +17,10 @@ def test_what_is_near_is_found_though_no_point_lies_on_it():
     assert ((found.depth < 0.6 * 4.6) & (found.support > 1)).double().mean() > 0.05
     # Where no depth agrees, the points are all that is known.
     assert plane_sweep(torch.full_like(images, 0.5), cameras, points=points).depth.isfinite().all()
+
+
+def test_a_pixel_that_a_homography_takes_to_no_number_is_outside():
+    homography = np.array([[1, 0, -0.5], [0, 1, -0.5], [1, 0, -0.5]])  # the first pixel to 0 / 0
+    warped, inside = np.empty((9, 12), np.float32), np.empty((9, 12), np.bool_)
+    warp(np.full((9, 12), 0.5, np.float32), homography, warped, inside)
+    assert (warped == 0.5).all() and not inside[:, 0].any()

@@ -91,8 +91,7 @@ SPLAT = 16
 """Numbers of a splat, of which :mod:`anystyle_cpu_renderer.projection` names the columns: one cache line."""
 
 HEIGHT, WIDTH = 32, 8
-"""Of a tile in pixels: a row is one vector of most processors, and the planes fit into the L1 cache. A job is one row of
-tiles."""
+"""Of a tile in pixels: a row is a vector of most processors, and planes fit into the L1 cache. A job is a row of tiles."""
 
 BLOCK = 32
 """Splats of a tile that are blended before it is looked whether all its pixels are full."""
