@@ -91,7 +91,7 @@ SPLAT = 16
 """Numbers of a splat, of which :mod:`anystyle_cpu_renderer.projection` names the columns: one cache line."""
 
 HEIGHT, WIDTH = 32, 8
-"""Of a tile in pixels: a row is a vector of most processors, and planes fit into the L1 cache. A job is a row of tiles."""
+"""Of a tile in pixels: a row is a vector of most processors, planes fit into the L1 cache. A row of tiles is a job."""
 
 BLOCK = 32
 """Splats of a tile that are blended before it is looked whether all its pixels are full."""
