@@ -150,11 +150,11 @@ def _neighbors(cameras: Cameras, points: Sequence[Tensor]) -> list[list[int]]:
 
 def _nearest(cameras: Cameras, view: int) -> list[int]:
     """The views nearest to a view, preferring similar viewing directions."""
-    centers, axes = _centers(cameras), cameras.world_from_camera[0, :, :3, 2]
+    centers, axes, near = _centers(cameras), cameras.world_from_camera[0, :, :3, 2], same_place(cameras)
     distance = (centers - centers[view]).norm(dim=-1)
     away = axes @ axes[view] < 0.5
     order = torch.argsort(distance + away * (1 + distance.max()))
-    return [int(other) for other in order if distance[other] > same_place(cameras)][:NUM_NEIGHBORS]
+    return [int(other) for other in order if distance[other] > near][:NUM_NEIGHBORS]
 
 
 def _coarse_points(
