@@ -14,7 +14,8 @@ set -euo pipefail
 cd "$(mktemp -d)"
 trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
-env/bin/pip install --quiet open3d==0.20.0 trimesh==5.2.0 pymeshlab==2025.7.post1 numpy==2.4.6 pillow scipy
+env/bin/pip install --quiet open3d==0.20.0 trimesh==5.2.0 pymeshlab==2025.7.post1 numpy==2.4.6 \
+    pillow==12.3.0 scipy==1.17.1
 env/bin/python -W error::UserWarning - <<'PYTHON'
 import numpy as np
 import open3d

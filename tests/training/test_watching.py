@@ -83,14 +83,8 @@ def test_a_branch_is_validated_on_scenes_of_its_own_by_the_same_draws(tmp_path):
     [
         ("checkpoint.best=val/lsos", "no logged value is named 'val/lsos'. Did you mean 'val/loss'?"),
         ("validation_steps=0", "val/loss: no validation is within .* add scenes@validation_scenes=NAME"),
-        (
-            "trainer.val_check_interval=7",
-            "no validation is within the run's 6 batches; .*val_check_interval=N",
-        ),
-        (
-            "+callbacks.early_stopping.patiance=2",
-            "EarlyStopping.*'patiance'; the options are those of",
-        ),
+        ("trainer.val_check_interval=7", "no validation is within the run's 6 batches; .*val_check_interval=N"),
+        ("+callbacks.early_stopping.patiance=2", "EarlyStopping.*'patiance'; the options are those of"),
         ("+callbacks.early_stoping.patience=2", "no callback is named 'early_stoping'. Did you mean 'early_stopping'?"),
     ],
 )

@@ -72,8 +72,7 @@ def plane_sweep(
     num_views, height, width = images.shape[0], images.shape[-2], images.shape[-1]
     if num_views < 2 or min(height, width) < SIDE:
         raise UserError(
-            f"stereo got {num_views} images of {height}x{width}; it needs two or more, larger than a window of "
-            f"{SIDE} pixels"
+            f"stereo got {num_views} images of {height}x{width}; it needs two or more, of at least {SIDE} pixels a side"
         )
     gray = (images * images.new_tensor([0.299, 0.587, 0.114])[:, None, None]).sum(1)  # V H W
     if valid is None:

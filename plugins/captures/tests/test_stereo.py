@@ -2,9 +2,10 @@
 
 import numpy as np
 import torch
+from scipy.ndimage import uniform_filter
 
 from anystyle_captures.stereo import plane_sweep
-from anystyle_captures.stereo_kernels import warp
+from anystyle_captures.stereo_kernels import NOISE, SIDE, sweep, warp
 from tests.support.cards import photographed
 
 
@@ -24,3 +25,13 @@ def test_a_pixel_that_a_homography_takes_to_no_number_is_outside():
     warped, inside = np.empty((9, 12), np.float32), np.empty((9, 12), np.bool_)
     warp(np.full((9, 12), 0.5, np.float32), homography, warped, inside)
     assert (warped == 0.5).all() and not inside[:, 0].any()
+
+
+def test_costs_of_planes_are_those_of_windows_by_scipy():
+    """Of three sources the two that are most alike count."""
+    images = np.random.default_rng(0).random((4, 24, 30)).astype(np.float32)
+    mean, square, both = uniform_filter([images, images**2, images * images[0]], SIDE, mode="nearest", axes=(2, 3))
+    variance, costs = square - mean**2, np.empty((24, 30, 1), np.float32)
+    expected = 1 - (both - mean * mean[0]) / np.sqrt((variance + NOISE) * (variance[0] + NOISE))
+    sweep(images[0], mean[0], variance[0], images[1:], np.tile(np.eye(3), (3, 1, 1, 1)), costs)
+    np.testing.assert_allclose(costs[..., 0], np.sort(expected[1:].clip(0, 1), 0)[:2].mean(0), atol=1e-4)

@@ -251,10 +251,10 @@ def _with_constant(columns: Mapping[str, NDArray[Any]], remarks: Remarks) -> dic
     if any(name in columns for name in names) or not all(name in columns for name in _RGB):
         return dict(columns)
     colors = [columns[name] for name in _RGB]
-    kind, largest = colors[0].dtype, max(np.nanmax(color, initial=0) for color in colors)
-    whole = np.issubdtype(kind, np.integer) and (kind.itemsize == 1 or largest > 255)
-    top = float(np.iinfo(kind).max) if whole else 255.0 if largest > 1 else 1.0
-    if not whole:
+    kind, largest = np.result_type(*colors), max(np.nanmax(color, initial=0) for color in colors)
+    known = np.issubdtype(kind, np.integer) and (kind.itemsize == 1 or largest > 255)
+    top = float(np.iinfo(kind).max) if known else 255.0 if largest > 1 else 1.0
+    if not known:
         remarks.guesses.append(f"red, green and blue are read as numbers from 0 to {top:g}")
     constants = ((color.astype(np.float64) / top - 0.5) / _CONSTANT for color in colors)
     return {**columns, **dict(zip(names, constants, strict=True))}
