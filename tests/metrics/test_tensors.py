@@ -19,6 +19,7 @@ from anystyle.testing.metric import build
 from anystyle.testing.subject import subject
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.types import Comparison, Style
+from anystyle.vision.feature_cache import CACHE
 
 PREDS, TARGET, STYLE = (images(3, (48, 40), seed=seed) for seed in (1, 2, 3))
 
@@ -46,14 +47,14 @@ def test_tensors_are_a_comparison(name, tmp_path):
 def _of_tensors(name, tmp_path):
     cls = catalog().find("metric", name).load()
     assert getattr(anystyle.metrics, cls.__name__) is cls
-    metric = build(subject("metric", cls, cls.example(tmp_path)))
-    tensors = given()
+    tensors, metric = given(), build(subject("metric", cls, cls.example(tmp_path)))
     metric.update(Comparison.from_images(**tensors))
     expected = computed(metric)
     metric.reset()
-    names = [name for name in inspect.signature(cls.update).parameters if name != "self"]
-    metric.update(**{name: tensors[name] for name in names})
-    torch.testing.assert_close(computed(metric), expected, rtol=0, atol=0, equal_nan=True)
+    CACHE.clear()
+    with torch.autocast("cpu"):
+        metric.update(**{name: tensors[name] for name in inspect.signature(cls.update).parameters if name != "self"})
+        torch.testing.assert_close(computed(metric), expected, rtol=0, atol=0, equal_nan=True)
     return expected.values()
 
 

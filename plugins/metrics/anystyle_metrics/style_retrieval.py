@@ -43,7 +43,7 @@ class Retrieval(StyleSet):
         def look(batch: Tensor) -> list[Tensor]:
             return [torch.stack([self.describe(seen) for seen in (batch, equalized_gray(batch))], dim=1)]
 
-        return CACHE.features(images, ("retrieval", *self.better, *self.weights.values()), look)[0]
+        return CACHE.features(images, ("retrieval", *self.better, *self.weights.values()), look)[0].double()
 
     def similar(self, rows: Float[Tensor, "N D"], styles: Float[Tensor, "G D"]) -> Float[Tensor, "N G"]:
         """Cosines, each side centred over its own set: what all of it share is removed."""

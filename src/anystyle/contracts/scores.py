@@ -37,8 +37,8 @@ class Loss(Pluggable, nn.Module, ABC):
 def accepts_tensors(update: Callable[[Any, Comparison], None], takes: Sequence[str] = ()) -> Callable[..., None]:
     """An ``update`` that takes a comparison, or the arguments of :meth:`Comparison.from_images` that ``takes`` names.
 
-    The framework makes one of every ``update``; written above it, type checkers know. Either is checked before, and no
-    gradient is recorded.
+    The framework makes one of every ``update``; written above it, type checkers know. Either is checked before. No
+    gradient is recorded, and autocast, as in a validation step of ``bf16-mixed``, is off.
     """
     known = inspect.signature(Comparison.from_images).parameters
     shown = [inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)]
@@ -57,7 +57,7 @@ def accepts_tensors(update: Callable[[Any, Comparison], None], takes: Sequence[s
             args, kwargs = (Comparison.from_images(**{name: given[name] for name in given if name != "self"}),), {}
         else:
             args[0].checked()
-        with torch.no_grad():
+        with torch.no_grad(), torch.autocast(args[0].stylized.device.type, enabled=False):
             update(self, *args, **kwargs)
 
     vars(from_tensors)["__signature__"] = signature
@@ -143,7 +143,7 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
         Returns:
             Matplotlib's figure and axes.
         """
-        return self._plot(val, ax)
+        return self._plot(self.scores() if val is None else val, ax)
 
 
 class Correspondence(Pluggable, ABC):
