@@ -42,7 +42,7 @@ TRACKS = 100
 took up to 1.6 times its time, with 1,700 up to four times, for cameras that fit no better."""
 GROWTH = 1.4
 """How much larger a model has grown when all of it is adjusted again, COLMAP's own for films: with its 1.1 for
-photographs the incremental mapper took 1.4 to 1.5 times as long for cameras that differ by at most 0.07°."""
+photographs the incremental mapper took 1.2 to 1.3 times as long for cameras that differ by at most 0.07°."""
 CHUNK = 64
 """Pairs between two reports of progress; COLMAP indexes a photograph's features anew for each chunk that has it."""
 
@@ -270,7 +270,6 @@ def _map_incrementally(
     # A view that sees too few points is not tried again by its matches: 12 of *street*'s 13 s, for no camera more.
     mapping.structure_less_registration_fallback = False
     mapping.ba_global_frames_ratio = mapping.ba_global_points_ratio = GROWTH
-    mapping.ba_global_max_refinements = 2
     mapping.mapper.init_min_num_inliers = 50
     mapping.mapper.abs_pose_min_num_inliers = options.min_inliers
     mapping.ba_refine_focal_length = mapping.ba_refine_extra_params = mapping.ba_refine_sensor_from_rig = not known
