@@ -31,6 +31,10 @@ def photographs(poses, *, radial=0.0, seed=0, prefix="view"):
     ]
 
 
+def of_folder(folder):
+    return [Photograph(path.name, np.asarray(Image.open(path).convert("RGB"))) for path in sorted(folder.glob("*.jpg"))]
+
+
 @pytest.fixture(scope="module")
 def orbit():
     poses = arc(6, 40)
@@ -75,11 +79,7 @@ def test_any_order_of_photographs_gives_the_same_cameras(orbit, solved, tmp_path
 @pytest.mark.slow
 def test_any_number_of_threads_gives_the_same_cameras():
     """In real photographs, whose equations the solver sums in another order on more threads."""
-    photographs = []
-    for path in sorted(resolved(Path("example:street")).glob("*.jpg"))[:5]:
-        image = Image.open(path).convert("RGB")
-        image.thumbnail((320, 320))
-        photographs.append(Photograph(path.stem, np.asarray(image)))
+    photographs = of_folder(resolved(Path("example:street")))[:5]
     searches = (SearchOptions(min_side=320, max_side=320),)
     one, three = (find_cameras(photographs, searches=searches, threads=threads).model for threads in (1, 3))
     assert one.registered.sum() == 5
@@ -194,14 +194,18 @@ def test_photographs_left_out_are_searched_again_at_more_pixels(orbit, caplog):
     assert found.verdict.measures["searched_pixels"] == 192
 
 
+def test_the_example_needs_no_second_search():
+    """The incremental mapper finds 7 of its 12 cameras, and the global one, by 100 tracks a photograph, none."""
+    found = find_cameras(of_folder(resolved(Path("example:street"))))
+    assert found.verdict.trust == "good" and found.model.registered.all()
+    assert found.verdict.measures["searched_pixels"] == 768
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("capture", "least"), [("banana", 14), ("street", 29)])
 def test_no_photograph_is_left_behind(capture, least):
     """The first search finds 8 of 16 and 10 of 29."""
-    shots = [
-        Photograph(path.name, np.asarray(Image.open(path).convert("RGB")))
-        for path in sorted(real(f"captures/{capture}").glob("*.jpg"))
-    ]
+    shots = of_folder(real(f"captures/{capture}"))
     found = find_cameras(shots)
     assert found.verdict.trust == "good" and found.model.registered.sum() >= least
     assert found.verdict.measures["searched_pixels"] == max(shots[0].size)
