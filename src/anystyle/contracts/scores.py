@@ -120,7 +120,8 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     def compute(self) -> Tensor | dict[str, Tensor]:
         """The one score of ``better`` over all that was taken in, or a dict where it names several.
 
-        A score is ``nan``, with a warning, where there was too little.
+        A score is ``nan``, with a warning, where there was too little. Multiply matrices in double precision: autocast,
+        which is off in :meth:`update`, rounds others here.
         """
 
     @final
