@@ -224,9 +224,10 @@ class FitLoop:
         renders = self.renderer(replace(gaussians, opacities=opacities), cameras)
         # Over random colours, so that no Gaussian lets the background through where there is something.
         transmittance = 1 - renders.alpha[0, :, None]
-        color = renders.color[0] - transmittance * self.background
-        random = torch.rand(3, generator=self.generator).to(color)[:, None, None]
-        color = self.exposures.apply(color, view, 1.0 if masks is None else 1 - transmittance) + transmittance * random
+        random = torch.rand(3, generator=self.generator).to(target)[:, None, None]
+        behind = random - self.exposures.apply(self.background[None], view, 0.0)
+        alpha = 1.0 if masks is None else 1 - transmittance
+        color = self.exposures.apply(renders.color[0], view, alpha) + transmittance * behind
         if masks is not None:
             # Over the same colours, so that transparency is asked for where nothing is there.
             target = target + (1 - masks.alpha[view]) * (random - 1)
@@ -260,9 +261,9 @@ class FitLoop:
         """
         scales = self.splats.parameters["scales"]
         if self.options.scale_weight and scales.grad is not None:
-            shown = (scales.grad != 0).any(1, keepdim=True)
-            footprints = scales.exp() / self.splats.units[:, None]
-            scales.grad += self.options.scale_weight * footprints * shown / (3 * shown.sum().clamp_min(1))
+            shown = scales.grad[:, 0] != 0
+            weight = shown * (self.options.scale_weight / (3 * shown.sum().clamp_min(1))) / self.splats.units
+            scales.grad.addcmul_(scales.exp(), weight[:, None])
 
     @torch.no_grad()
     def _prune(self) -> None:

@@ -31,8 +31,9 @@ def photometric_loss(
 
     SSIM is of grey values, at a third of the cost.
     """
-    gray = _Dissimilarity.apply(images.mean(1, keepdim=True), targets.mean(1, keepdim=True))
-    return (1 - dssim) * (images - targets).abs().mean() + dssim * gray
+    loss = _Photometric.apply(images, targets, dssim)
+    assert isinstance(loss, Tensor)
+    return loss
 
 
 class Quality(NamedTuple):
@@ -89,43 +90,57 @@ def unexplained(
     """
     error = (images - targets).abs().mean(1, keepdim=True)
     measured = torch.ones_like(error, dtype=torch.bool) if measured is None else measured[:, None]
-    large = avg_pool2d(error * measured, side := _window(images), 1, side // 2) > LARGE
+    large = _mean_around(error * measured) > LARGE
     return (large & measured).sum((1, 2, 3)) / measured.sum((1, 2, 3)).clamp_min(1)
 
 
 def unlike(images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"]) -> Bool[Tensor, "M H W"]:
     """The pixels of whole windows around which pairs differ so, which hold what differs to its border."""
-    error = avg_pool2d((images - targets).abs().mean(1), side := _window(images), 1, side // 2)
-    return max_pool2d((error > LARGE).float(), side, 1, side // 2) > 0
+    large = _mean_around((images - targets).abs().mean(1)) > LARGE
+    return max_pool2d(large.float(), side := _window(images), 1, side // 2) > 0
 
 
-def _window(images: Float[Tensor, "M 3 H W"]) -> int:
+def _mean_around(values: Float[Tensor, "*batch H W"]) -> Float[Tensor, "*batch H W"]:
+    """The mean over the window around each pixel, zero behind the borders."""
+    side = _window(values)
+    return avg_pool2d(avg_pool2d(values, (side, 1), 1, (side // 2, 0)), (1, side), 1, (0, side // 2))
+
+
+def _window(images: Float[Tensor, "*batch H W"]) -> int:
     return max(3, min(images.shape[-2:]) // 24) | 1
 
 
-class _Dissimilarity(torch.autograd.Function):
-    """1 - SSIM averaged over all pixels, as in 3D Gaussian splatting: images are zero behind their borders."""
+class _Photometric(torch.autograd.Function):
+    """SSIM is averaged over all pixels, as in 3D Gaussian splatting: images are zero behind their borders."""
 
     @staticmethod
-    def forward(ctx: Any, first: Tensor, second: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        moments = torch.stack([first, second, first * first, second * second, first * second])
-        a, b, aa, bb, ab = blur(moments.flatten(0, 2)).view_as(moments)
-        light, structure = 2 * a * b + C1, 2 * (ab - a * b) + C2
-        light_scale, structure_scale = a * a + b * b + C1, aa - a * a + bb - b * b + C2
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        images, targets, dssim = inputs
+        first, second = images.mean(1), targets.mean(1)
+        # Of the variances SSIM takes the sum alone.
+        moments = torch.stack([first, second, first * first + second * second, first * second])
+        a, b, squares, ab = blur(moments.flatten(0, 1)).view_as(moments)
+        light, structure, light_scale = 2 * a * b + C1, 2 * (ab - a * b) + C2, a * a + b * b + C1
+        structure_scale = squares - light_scale + (C1 + C2)
         scale = light_scale * structure_scale
         similarity = light * structure / scale
         by_a = 2 * (b * (structure - light) / scale + a * similarity * (1 / structure_scale - 1 / light_scale))
         derivatives = torch.stack([by_a, -similarity / structure_scale, 2 * light / scale])
         # The window is symmetric, so that its blur is its own adjoint.
-        by_a, by_aa, by_ab = blur(derivatives.flatten(0, 2)).view_as(derivatives)
-        gradient = torch.addcmul(by_a, second, by_ab).addcmul_(first, by_aa, value=2)
-        ctx.save_for_backward(gradient.mul_(-1 / first.numel()))
-        return 1 - similarity.mean()
+        by_a, by_squares, by_ab = blur(derivatives.flatten(0, 1)).view_as(derivatives)
+        by_gray = by_a.addcmul_(second, by_ab).addcmul_(first, by_squares, value=2)
+        difference = images - targets
+        loss = (1 - dssim) * difference.abs().mean() + dssim * (1 - similarity.mean())
+        ctx.save_for_backward(difference.sgn_().mul_(1 - dssim).sub_(dssim * by_gray[:, None]))
+        return loss
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return grad_output * ctx.saved_tensors[0], None
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, grad_output: Tensor
+    ) -> tuple[Tensor, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * (grad_output / gradient.numel()), None, None
 
 
 def blur(planes: Float[Tensor, "P H W"]) -> Float[Tensor, "P H W"]:

@@ -60,11 +60,13 @@ def find_sky(images: Float[Tensor, "V 3 H W"], cameras: Cameras, stereo: StereoD
     agreed, sky, brightness = stereo.support >= 2, torch.zeros_like(far), images.amax(1)
     up = _up(cameras.world_from_camera[0, :, :3, :3])
     for view in range(len(far)):
+        regions = np.empty(far.shape[1:], np.int32)
+        label(far[view].numpy(), output=regions)
+        if not regions[0].any():
+            continue
         rays = _rays(cameras, view)
         low = (rays @ up) / rays.norm(dim=1) < sin(radians(BELOW))
         votes, seen = _votes(rays, view, cameras, far & ~agreed, agreed)
-        regions = np.empty(far.shape[1:], np.int32)
-        label(far[view].numpy(), output=regions)
         sampled, loose = (
             torch.from_numpy(mask)[::STRIDE, ::STRIDE].flatten() for mask in (regions, ~agreed[view].numpy())
         )
@@ -77,6 +79,8 @@ def find_sky(images: Float[Tensor, "V 3 H W"], cameras: Cameras, stereo: StereoD
             darker = (brightness[view][~far[view]] <= brightness[view][region].median()).double().mean()
             if darker >= BRIGHTER and (votes[voted] / seen[voted]).mean() >= MIN_SHARE:
                 sky[view] |= region
+    if not sky.any():
+        return sky
     # Clouds and birds.
     sky = torch.stack([torch.from_numpy(binary_fill_holes(mask.numpy())) for mask in sky])
     weight = sky[:, None].to(images)

@@ -93,9 +93,9 @@ def composite(image: Float[Tensor, "B V 5 H W"], background: Sequence[float]) ->
         image: Red, green, blue and depth over black, and the transmittance.
         background: A colour in [0, 1].
     """
-    color, depth, transmittance = image[:, :, :3], image[:, :, 3], image[:, :, 4:]
-    behind = image.new_tensor(list(background))[:, None, None]  # 3 1 1
-    return Renders(color=(color + transmittance * behind).clamp(0, 1), depth=depth, alpha=1 - transmittance[:, :, 0])
+    color, depth, transmittance = image.split([3, 1, 1], dim=2)
+    behind, alpha = image.new_tensor(list(background))[:, None, None], 1 - transmittance[:, :, 0]
+    return Renders(color=(color + transmittance * behind).clamp(0, 1), depth=depth[:, :, 0], alpha=alpha)
 
 
 class KeptView(LinearView):
