@@ -13,7 +13,7 @@ set -euo pipefail
 cd "$(mktemp -d)"
 trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
-env/bin/pip install --quiet torch==2.13.0 lightning==2.6.6 numpy==2.4.6 "setuptools<81"
+env/bin/pip install --quiet torch==2.13.0 lightning==2.6.6 numpy==2.4.6 setuptools==80.9.0
 env/bin/python - 2> log.txt <<'PYTHON'
 import warnings
 

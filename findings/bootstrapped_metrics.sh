@@ -10,7 +10,7 @@
 set -euo pipefail
 cd "$(mktemp -d)"
 python3 -m venv env
-env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 "setuptools<81"
+env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 setuptools==80.9.0
 env/bin/python - <<'PYTHON'
 import torch
 from torchmetrics import MeanMetric

@@ -13,7 +13,7 @@ cd "$(mktemp -d)"
 trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
 env/bin/pip install --quiet torch==2.13.0 lightning==2.6.6 omegaconf==2.3.0 tensorboard==2.21.0 wandb==0.31.0 \
-    mlflow-skinny==3.17.2 sqlalchemy==2.1.9 alembic==1.20.1 numpy==2.4.6 "setuptools<81"
+    mlflow-skinny==3.17.2 sqlalchemy==2.1.9 alembic==1.20.1 numpy==2.4.6 setuptools==80.9.0
 WANDB_MODE=offline WANDB_SILENT=true env/bin/python - 2> log.txt <<'PYTHON'
 import warnings
 from pathlib import Path

@@ -15,7 +15,7 @@ set -euo pipefail
 cd "$(mktemp -d)"
 trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
-env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 "setuptools<81" numpy==2.4.6 sewar==0.4.10
+env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 setuptools==80.9.0 numpy==2.4.6 sewar==0.4.10
 python3 -m venv older  # image-similarity-measures takes NumPy 1
 older/bin/pip install --quiet image-similarity-measures==0.3.6 numpy==1.26.4
 cat > images.py <<'PYTHON'

@@ -14,7 +14,7 @@ set -euo pipefail
 cd "$(mktemp -d)"
 trap "rm -rf '$PWD'" EXIT
 python3 -m venv env
-env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 sewar==0.4.10 scipy==1.17.1 numpy==2.4.6 "setuptools<81"
+env/bin/pip install --quiet torch==2.13.0 torchmetrics==1.9.0 sewar==0.4.10 scipy==1.17.1 numpy==2.4.6 setuptools==80.9.0
 env/bin/python - <<'PYTHON'
 import warnings
 
