@@ -44,7 +44,7 @@ of a street with 100 each it found nothing."""
 GROWTH = 1.4
 """How much larger a model has grown when all of it is adjusted again, COLMAP's own for films: with its 1.1 for
 photographs the incremental mapper took 1.2 to 1.3 times as long for cameras that differ by at most 0.07°."""
-CHUNK = 64
+CHUNK = 128
 """Pairs between two reports of progress; COLMAP indexes a photograph's features anew for each chunk that has it."""
 
 
