@@ -16,10 +16,11 @@ CONTRACT = frozenset({"contract", "nsz"})
 def compiled(function: Callable[..., Any], *, fastmath: Collection[str] = ()) -> Callable[..., Any]:
     """Compile a kernel on its first call, without the interpreter's lock and with C's division.
 
-    The machine code is kept on disk if a folder for it can be written; ``fastmath`` are flags of LLVM.
+    The machine code is kept on disk if a folder for it can be written; ``fastmath`` are flags of LLVM. Kernels that it
+    calls are inlined: the process that compiles would run copies of them that round otherwise than those on disk.
     """
     function = inspect.unwrap(function)  # tests check annotations by wrappers, which numba cannot compile
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
+    options: dict[str, Any] = {"nogil": True, "forceinline": True, "error_model": "numpy", "fastmath": set(fastmath)}
     try:
         return njit(cache=True, **options)(function)
     except RuntimeError:

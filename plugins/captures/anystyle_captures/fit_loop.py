@@ -261,7 +261,7 @@ class FitLoop:
         """
         scales = self.splats.parameters["scales"]
         if self.options.scale_weight and scales.grad is not None:
-            shown = scales.grad[:, 0] != 0
+            shown = (scales.grad != 0).any(1)
             weight = shown * (self.options.scale_weight / (3 * shown.sum().clamp_min(1))) / self.splats.units
             scales.grad.addcmul_(scales.exp(), weight[:, None])
 

@@ -32,23 +32,18 @@ def plain_loss(first, second, dssim):
 
 def test_blur_is_a_convolution():
     planes = pair()[0].flatten(0, 1)
-    torch.testing.assert_close(blur(planes), plain_blur(planes), rtol=1e-5, atol=1e-6)
-    small = planes[:, :4, :3]
-    torch.testing.assert_close(blur(small), plain_blur(small), rtol=1e-5, atol=1e-6)
+    for given in (planes, planes[:, :4, :3]):
+        torch.testing.assert_close(blur(given), plain_blur(given), rtol=1e-5, atol=1e-6)
 
 
 def test_quality_agrees_with_another_library():
     first, second = pair()
     options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1.0}
-    expected = [
-        structural_similarity(a.double().numpy(), b.double().numpy(), channel_axis=0, **options)
-        for a, b in zip(first, second, strict=True)
-    ]
+    arrays = list(zip(first.double().numpy(), second.double().numpy(), strict=True))
+    expected = [structural_similarity(*pair, channel_axis=0, **options) for pair in arrays]
     quality = quality_of(first, second)
     assert quality.ssim == pytest.approx(sum(expected) / 2, abs=1e-5)
-    decibels = [
-        peak_signal_noise_ratio(a.numpy(), b.numpy(), data_range=1.0) for a, b in zip(first, second, strict=True)
-    ]
+    decibels = [peak_signal_noise_ratio(*pair, data_range=1.0) for pair in arrays]
     assert quality.psnr == pytest.approx(sum(decibels) / 2, abs=1e-4) and quality.matched_psnr > quality.psnr
 
 

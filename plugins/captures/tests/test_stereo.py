@@ -1,5 +1,9 @@
 """Depths by stereo in exact pictures of a known world."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import torch
 from scipy.ndimage import uniform_filter
@@ -35,3 +39,14 @@ def test_costs_of_planes_are_those_of_windows_by_scipy():
     expected = 1 - (both - mean * mean[0]) / np.sqrt((variance + NOISE) * (variance[0] + NOISE))
     sweep(images[0], mean[0], variance[0], images[1:], np.tile(np.eye(3), (3, 1, 1, 1)), costs)
     np.testing.assert_allclose(costs[..., 0], np.sort(expected[1:].clip(0, 1), 0)[:2].mean(0), atol=1e-4)
+
+
+def test_the_process_that_compiles_kernels_computes_what_those_do_that_load_them(tmp_path):
+    lines = """import numpy as np
+from anystyle_captures.stereo_kernels import sweep
+images, costs = np.random.default_rng(0).random((4, 60, 80), np.float32), np.empty((60, 80, 1), np.float32)
+sweep(*images[:3], images[1:], np.tile(np.eye(3) + 0.01, (3, 1, 1, 1)), costs)
+print(costs.tobytes().hex())"""
+    command, kept = [sys.executable, "-c", lines], os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, later = (subprocess.run(command, env=kept, check=True, capture_output=True).stdout for _ in range(2))
+    assert first == later

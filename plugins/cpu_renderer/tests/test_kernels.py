@@ -10,17 +10,13 @@ from anystyle.compiled import compiled
 from anystyle_cpu_renderer import raster
 
 
-def function_without_a_file() -> Any:
+def test_compiles_where_nothing_can_be_written() -> None:
     """A function for which numba finds no folder to keep machine code in, as in an installation nobody can write."""
     namespace: dict[str, Any] = {}
     exec(compile("def double(x):\n    return 2 * x\n", "/nowhere/kernel.py", "exec"), namespace)
-    return namespace["double"]
-
-
-def test_compiles_where_nothing_can_be_written() -> None:
     with pytest.raises(RuntimeError, match="no locator"):
-        njit(cache=True)(function_without_a_file())
-    assert compiled(function_without_a_file())(21) == 42
+        njit(cache=True)(namespace["double"])
+    assert compiled(namespace["double"])(21) == 42
 
 
 def test_falloff_is_exp() -> None:
@@ -41,8 +37,7 @@ def test_tiles_list_the_splats_that_they_show_and_no_others() -> None:
     """Every pixel that an ellipse covers is in the rows that its tile lists for it."""
     rng = np.random.default_rng(0)
     width, height = 40, raster.HEIGHT - 5
-    axes = rng.uniform(0.4, 6, (60, 2))
-    turn = rng.uniform(0, np.pi, 60)
+    axes, turn = rng.uniform(0.4, 6, (60, 2)), rng.uniform(0, np.pi, 60)
     turned = np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)], 1).reshape(60, 2, 2)
     shape = turned @ (axes[..., None] ** 2 * turned.transpose(0, 2, 1))
     xx, xy, yy = shape[:, 0, 0], shape[:, 0, 1], shape[:, 1, 1]
