@@ -21,8 +21,8 @@ NEIGHBORS = 3
 """The scale of a Gaussian is a fraction of the mean distance to this many nearest ones."""
 SURFACE, OVERLAP = 0.7, 1.4
 """That fraction, and that of the backdrop, which is to be opaque where no photograph teaches it."""
-OPACITY = 0.4
-"""The opacity of every Gaussian at the start."""
+OPACITY, OPAQUE = 0.4, 0.9
+"""The opacity of a Gaussian at the start, and that of one of the backdrop: where no photograph teaches it, it stays."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class InitialGaussians(Value):
     means: Float[Tensor, "N 3"]
     scales: Float[Tensor, " N"]
     colors: Float[Tensor, "N 3"]
+    opacities: Float[Tensor, " N"]
     footprints: Float[Tensor, " N"]
     pixels: Int[Tensor, "N 3"]
 
@@ -42,7 +43,7 @@ class InitialGaussians(Value):
             means=self.means[None],
             rotations=self.means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(1, len(self.means), 1),
             scales=self.scales[None, :, None].repeat(1, 1, 3),
-            opacities=self.means.new_full((1, len(self.means)), OPACITY),
+            opacities=self.opacities[None],
             harmonics=pad(colors, (0, 0, 0, (degree + 1) ** 2 - 1))[None],
         )
 
@@ -98,7 +99,7 @@ def backdrop(
     around = torch.stack([view, y, x], dim=1)[~within & beside][:num_gaussians]
     pixels = torch.cat([_drawn((stereo.support < 1) & valid, num_gaussians, generator), around])
     depth = torch.full((len(pixels),), farthest(stereo))
-    return lift(images, cameras, depth, pixels, largest=float("inf"), fraction=OVERLAP)
+    return lift(images, cameras, depth, pixels, largest=float("inf"), fraction=OVERLAP, opacity=OPAQUE)
 
 
 def farthest(stereo: StereoDepth) -> float:
@@ -121,6 +122,7 @@ def lift(
     pixels: Int[Tensor, "N 3"],
     largest: float = 6.0,
     fraction: float = SURFACE,
+    opacity: float = OPACITY,
 ) -> InitialGaussians:
     """Gaussians at pixels of known depth, as large as the gaps between them."""
     view, y, x = pixels.unbind(1)
@@ -137,6 +139,7 @@ def lift(
         means=means.float(),
         scales=(fraction * gaps.clamp(0.5 * footprints, largest * footprints)).float(),
         colors=images[view, :, y, x],
+        opacities=torch.full_like(gaps, opacity, dtype=torch.float32),
         footprints=footprints.float(),
         pixels=torch.stack([view, y, x], dim=1),
     )
