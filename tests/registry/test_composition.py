@@ -24,3 +24,9 @@ def test_options_that_one_plugin_has_choose_it_where_no_configuration_does():
     chosen = compose("stylize", ["reconstruction.quality=draft"])
     assert chosen == compose("stylize", ["reconstruction=fit", "reconstruction.quality=draft"])
     assert compose("stylize", ["reconstruction=feedforward"]).reconstruction.keys() == {"_target_"}
+
+
+def test_a_date_is_a_name_and_no_number():
+    words = ["root=2024_10_05", "seed=10_000", "protocol=captures", "protocol.captures=[24_10,./24_11]"]
+    dated = compose("evaluate", words)
+    assert (dated.root, dated.seed, dated.protocol.captures) == ("2024_10_05", 10_000, ["24_10", "./24_11"])

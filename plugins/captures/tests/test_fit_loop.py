@@ -172,13 +172,8 @@ def test_a_view_that_looks_past_the_photographs_sees_no_hole(photographs):
     assert len(views) == 60 and torch.equal(behind.colors, images[views, :, rows, columns])
     height, width = cameras.size
     assert ((rows % (height - 1) == 0) | (columns % (width - 1) == 0)).all(), "all depths are supported"
-    run = FitLoop(
-        images,
-        cameras,
-        InitialScene(InitialGaussians.cat([initial(photographs), behind])),
-        RENDERER,
-        FitOptions(num_steps=60),
-    )
+    first = InitialScene(InitialGaussians.cat([initial(photographs), behind]))
+    run = FitLoop(images, cameras, first, RENDERER, FitOptions(num_steps=60))
     run.run()
     # The image is 51 degrees wide.
     aside = matrix_from_vector(torch.tensor([0.0, radians(40), 0.0]))

@@ -55,6 +55,9 @@ _WORD = re.compile(r"(?!null$)[\w-]+", re.IGNORECASE)
 _TEXT = re.compile(r"(?!(null|none|true|false|inf|nan|yes|no|on|off)$)[a-z]\w*", re.IGNORECASE)
 """A value that is no number, and in no way a sweep or an interpolation."""
 
+_DATE = re.compile(r"(?<=[=,\[])(?!\d{1,3}(_\d{3})+\b)\d+(_\d+)+(?=[,\]]|$)")
+"""A value of digits that Hydra reads as one number, 20241005 of 2024_10_05, and that is not in thousands as one is."""
+
 _NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to your config|Search path:|See https)")
 
 
@@ -122,10 +125,11 @@ def idle(config: DictConfig) -> set[str]:
 def completed(words: Sequence[str]) -> list[str]:
     """The same words with what goes without saying.
 
-    A search path of the user's, which replaces a configuration's own, also has the plugins. Options of a group of
-    :data:`UNCHOSEN` choose the one plugin that has them.
+    A search path of the user's, which replaces a configuration's own, also has the plugins. A date is a text. Options
+    of a group of :data:`UNCHOSEN` choose the one plugin that has them.
     """
     words = [re.sub(r"^(\+*hydra\.searchpath=\[(?!.*anystyle://).+)\]$", r"\1,anystyle://]", word) for word in words]
+    words = [word if word.startswith("-") else _DATE.sub(r'"\g<0>"', word) for word in words]
     keys = [word.partition("=")[0] for word in words]
     for group in (group for group in UNCHOSEN if group not in keys):
         given = {key.split(".")[1] for key in keys if key.startswith(f"{group}.")}
@@ -262,8 +266,7 @@ def _with_option(group: str, message: str) -> list[str]:
 def _message(error: BaseException) -> str:
     text = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
     # OmegaConf 2.4 guesses too; :func:`_nearest` knows groups.
-    text = re.sub(r"\. Did you mean: .*\?", "", one_line(text))
-    return text.replace("is not in struct", "is unknown")
+    return re.sub(r"\. Did you mean: .*\?", "", one_line(text)).replace("is not in struct", "is unknown")
 
 
 def _nearest(*errors: BaseException | None) -> str:
