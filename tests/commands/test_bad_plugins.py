@@ -100,10 +100,7 @@ def helper():
 @pytest.mark.parametrize(
     ("call", "told"),
     [
-        (
-            lambda: Broken().forward(),
-            r"loss 'broken' .*test_bad_plugins\.py, line \d+\); `anystyle plugins check loss",
-        ),
+        (lambda: Broken().forward(), r"loss 'broken' .*test_bad_plugins\.py, line \d+\); `anystyle plugins check loss"),
         (helper, r"it was raised in the package tests \(test_bad_plugins\.py, line \d+\)\Z"),
     ],
 )

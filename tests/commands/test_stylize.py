@@ -90,7 +90,8 @@ def test_every_file_is_there_and_agrees(photographs, tmp_path):
     cameras = json.loads((out / "cameras.json").read_text())
     assert [view["name"] for view in cameras["views"]] == ["IMG 0", "IMG 1"]
     assert cameras["views"][0]["width"] == 80
-    film.main([str(out), "--out", str(tmp_path / "again.mp4"), "video.frames=3", "video.scale=0.5"])
+    style = ["--style", "red and white stripes"]
+    film.main([str(out), "--out", str(tmp_path / "again.mp4"), *style, "video.frames=3", "video.scale=0.5"])
     for made in (out / "video.mp4", tmp_path / "again.mp4"):
         with av.open(str(made)) as container:
             assert [(frame.width, frame.height) for frame in container.decode(video=0)] == 3 * [(36, 28)]

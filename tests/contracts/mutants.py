@@ -384,9 +384,7 @@ MUTANTS = {
         (FirstViewOnly, "views_have_no_order"),
         (MixedStyles, "styles_of_a_batch_stay_apart"),
     ],
-    "placement": [
-        (changed(ToyPlacement, "select", lambda sites: sites[::-1]), "selects_sites_of_the_backbone"),
-    ],
+    "placement": [(changed(ToyPlacement, "select", lambda sites: sites[::-1]), "selects_sites_of_the_backbone")],
     "loss": [
         (changed(ToyLoss, "forward", torch.Tensor.double), "value_is_one_finite_number"),
         (given(ToyLoss, "forward", lambda result: result.detach()), "something_learns_from_it"),
@@ -414,6 +412,8 @@ MUTANTS = {
         (drawn(lambda g: replace(g, rotations=g.rotations.detach())), "everything_carries_gradients"),
         (drawn(lambda g: replace(g, means=g.means + 0.1)), "points_appear_where_they_project"),
         (AlongRay, "points_appear_where_they_project"),
+        (drawn(lambda g: replace(g, harmonics=g.harmonics[:, :, :1])), "points_appear_where_they_project"),
+        (drawn(scale("scales", 1.1)), "long_gaussians_are_turned"),
         (drawn(lambda g: replace(g, rotations=g.rotations[..., ROLLED])), "long_gaussians_are_turned"),
         (drawn(scale("rotations", CONJUGATE)), "long_gaussians_are_turned"),
     ],
@@ -422,13 +422,13 @@ MUTANTS = {
         (changed(ToyCameras, "find", lambda path: path or Path("toy_cameras.txt")), "finds_its_own_and_nothing_else"),
     ],
     "pose_estimator": [
-        (changed(ToyPoseEstimator, "__call__", lambda posed: posed.verdict), "gives_cameras_or_a_verdict"),
+        (changed(ToyPoseEstimator, "__call__", lambda posed: posed.verdict), "gives_cameras_or_a_verdict")
     ],
     "reconstruction": [
         (
             changed(ToyReconstruction, "__call__", lambda r: r._replace(measures={"psnr": float("nan")})),
             "makes_a_scene_of_the_views",
-        ),
+        )
     ],
     "method": [
         (changed(ToyMethod, "__call__", scale("opacities", float("nan"))), "gives_gaussians"),
@@ -465,7 +465,7 @@ MUTANTS = {
     ],
     "command": [(given(ToyCommand, "__call__", lambda words: []), "unknown_words_are_refused")],
     "study_test": [
-        (given(ToyStudyTest, "__call__", lambda r: replace(r, deviations=-r.deviations)), "negative_means_ours"),
+        (given(ToyStudyTest, "__call__", lambda r: replace(r, deviations=-r.deviations)), "negative_means_ours")
     ],
 }
 

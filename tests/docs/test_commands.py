@@ -26,11 +26,7 @@ from tests.support.docs_cases import (
 )
 from tests.support.program import Done, program
 
-MORE = {
-    "docs/add_a_plugin.md": world.of_plugins,
-    "docs/data.md": world.of_data,
-    "docs/user_study.md": world.of_study,
-}
+MORE = {"docs/add_a_plugin.md": world.of_plugins, "docs/data.md": world.of_data, "docs/user_study.md": world.of_study}
 """What a page's folder holds besides what all hold."""
 BEFORE = {"docs/protocol.md": ("anystyle train -m experiment=tiny_style placement=head,full",)}
 """Commands of other pages whose results a page goes on with."""

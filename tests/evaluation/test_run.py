@@ -42,14 +42,16 @@ def test_scores_are_not_lost_nor_judged_by_luck(tmp_path):
     with Image.open(stylized / "one" / "a_2.png") as opaque:
         picture = opaque.convert("RGBA")
     picture.putpixel((0, 0), (0, 0, 0, 0))
-    picture.save(stylized / "one" / "a_2.png")
+    for path in (stylized / "one" / "a_2.png", style / "a.png"):
+        picture.save(path)
 
     def judged(*words):
         return anystyle.evaluate(words, content=content, style=style, stylized=stylized, out=tmp_path / "out")
 
     found = judged("metric=[psnr,color_match]")
-    told = "1 stylized images are transparent in places and judged on white, such as "
-    assert found.provenance["warnings"] == [f"{told}{stylized / 'one' / 'a_2.png'}"]
+    places = {"stylized": stylized / "one" / "a_2.png", "style": style / "a.png"}
+    told = "1 {} images are transparent in places and judged on white, such as {}"
+    assert found.provenance["warnings"] == [told.format(*each) for each in places.items()]
     with pytest.raises(UserError, match=r"would be lost; add their metrics, metric=\[color_match,psnr,timing\];"):
         judged("metric=[timing]")
     with pytest.raises(UserError, match="scores of variant=reference, not corrected; choose another --out"):

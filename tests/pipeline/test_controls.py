@@ -203,7 +203,7 @@ def test_strengths_are_a_strip_from_the_unstyled_scene_on(photographs, tmp_path)
         assert sheet.width > 5 * 220  # the photograph, the unstyled scene, and three strengths
 
 
-def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
+def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs, caplog):
     stylizer = anystyle.load()
     everywhere = Sphere((0.0, 0.0, 0.0), 1e6)
     nowhere = Sphere((0.0, 0.0, 0.0), 1e-9)
@@ -212,6 +212,7 @@ def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
     full, none, preserved, plain = (result.gaussians for result in results)
     assert torch.equal(full.harmonics, plain.harmonics)
     assert torch.equal(none.harmonics, results.run.unstyled.harmonics)
+    assert caplog.text.count(f"the mask {nowhere.text} holds none of the Gaussians, whose median is [") == 1
     assert not torch.equal(preserved.harmonics, plain.harmonics)
     small = anystyle.load("tiny")
     with pytest.raises(ValueError, match="is a text"):

@@ -65,7 +65,7 @@ FEWER = {
         "hydra.launcher.n_jobs=2": None,
     },
     "docs/getting_started.md": {
-        "ablation=base,all_geometry,no_clip_loss,no_style_loss,no_text": "ablation=base,no_text",
+        "ablation=base,all_geometry,no_clip_loss,no_style_loss,no_text": "ablation=base,no_text"
     },
     "docs/rivals.md": {"method=branch,nnfm,projection": "method=branch,projection"},
     "docs/clusters.md": {"seed=0,1,2": "seed=0", "placement=head,full": "placement=full"},

@@ -63,9 +63,5 @@ def read_with_gaussforge(path: Path) -> Gaussians:
     return Gaussians.load(out)
 
 
-READERS = {
-    "ply": read_ply,
-    "spz": read_spz_file,
-    **dict.fromkeys(("sog", "splat", "ksplat"), read_with_gaussforge),
-}
+READERS = {"ply": read_ply, "spz": read_spz_file, **dict.fromkeys(("sog", "splat", "ksplat"), read_with_gaussforge)}
 """In the file's axes."""

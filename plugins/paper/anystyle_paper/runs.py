@@ -50,15 +50,18 @@ def _inside(folder: Path) -> Iterator[Run]:
     lists = swept(folder)
     jobs = {str(number): words for number, words in enumerate(product(*lists) if lists else ())}
     known = {path.name: _run(path) for path in folders if _is_run(path)}
+    # What a job wrote itself counts: the list of jobs is that of the last command in this folder.
+    known = {name: replace(run, words=run.words or jobs.get(name, ())) for name, run in known.items()}
     # Jobs whose folders are named by their words, which may have a / in them, lie deeper.
     deeper = [run for path in folders if path.name not in known and "=" in path.name for run in _inside(path)]
     by_words = [*deeper, *(run for name, run in known.items() if "=" in name)]
     varied = {word for values in lists if len(values) > 1 for word in values}
     for name, words in jobs.items():
-        if name not in known and not any(varied & set(words) <= set(run.words) for run in by_words):
-            yield Run(folder / name, words, "failed" if (folder / name).is_dir() else "missing")
-    for name, run in known.items():
-        yield replace(run, words=jobs.get(name, run.words))
+        elsewhere = [*known.values(), *deeper] if name in known else by_words
+        if not any(varied & set(words) <= set(run.words) for run in elsewhere):
+            left_nothing = name in known or not (folder / name).is_dir()
+            yield Run(folder / name, words, "missing" if left_nothing else "failed")
+    yield from known.values()
     yield from deeper
     if not known and not jobs:
         for path in folders:

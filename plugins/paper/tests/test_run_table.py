@@ -67,6 +67,10 @@ def test_jobs_that_left_nothing_are_missing(sweep):
         ("3", "missing", "ablation=all_geometry"),
         ("10", "unfinished", "ablation=all_geometry"),
     ]
+    (sweep / "multirun.yaml").write_text("hydra: {overrides: {task: ['ablation=base,all,no_text', experiment=tiny]}}\n")
+    found = [(run.folder.name, run.state, run.words[0]) for run in runs.find(sweep)][:3]
+    missing = ("1", "missing", "ablation=all")  # that of the last command, in whose folder lies another's
+    assert found == [("0", "finished", "ablation=base"), missing, ("1", "finished", "ablation=no_text")]
 
 
 def test_jobs_that_are_named_by_their_words_are_found_also_where_these_have_a_slash(tmp_path):

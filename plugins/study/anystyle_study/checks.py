@@ -74,7 +74,7 @@ def check(
     given = [answer.is_check for answer in records.answers if not math.isnan(answer.score)]
     checks = Checks(len({answer.participant for answer in records.answers}), len(given), sum(given))
     main = [answer for answer in records.answers if not answer.is_check]
-    items = {person: {answer.item for answer in of} for person, of in _grouped(main, "participant").items()}
+    items = {who: {(row.item, row.comparison) for row in of} for who, of in _grouped(main, "participant").items()}
     main = _deduplicated(_in_range(main, by_question, checks), checks)
     _check_attention(attention, main, by_question, rules, checks)
     asked = Counter(question for question, _ in {(answer.question, answer.method) for answer in main})
@@ -219,6 +219,8 @@ def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Ch
         return answer.score < scales[answer.question].low or answer.score > scales[answer.question].high
 
     for question, given in _grouped(answers, "question").items():
+        if len({bool(answer.method) for answer in given}) > 1:
+            raise UserError(f"question {question!r} has both comparisons and ratings; give them two names")
         scale, scores = scales[question], [answer.score for answer in given if not math.isnan(answer.score)]
         strange = [answer.score for answer in filter(outside, given)]
         # Buttons that are counted from 0 fit a scale of the same length: few are outside, and all others are shifted.

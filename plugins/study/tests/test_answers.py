@@ -137,10 +137,15 @@ def test_findings_and_exclusions_are_listed(tmp_path):
 
 def test_several_comparisons_are_kept_apart(tmp_path):
     rows = [(*row, "rival" if row[1] < "S03" else "other") for row in answer_rows()]
-    path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,comparison")
-    _, by_question = judged(path)
+    header = "participant,item,question,score,ours_is,comparison"
+    _, by_question = judged(write_csv(tmp_path / "r.csv", rows, header))
     assert [responses.question for responses in by_question] == ["style vs rival", "style vs other"]
     assert [responses.count for responses in by_question] == [36, 36]
+    # Of all sets with each of them, one person's answers about one are missing.
+    lost = [(*row[:3], "" if row[0] == "P00" else row[3], row[4], "other") for row in answer_rows()]
+    both = write_csv(tmp_path / "both.csv", [*((*row, "rival") for row in answer_rows()), *lost], header)
+    checks, _ = judged(both, Rules(missing_share=0.4))
+    assert checks.missing == {"P00": {"style": 6}} and [one.participant for one in checks.exclusions] == ["P00"]
 
 
 HEAD = b"participant,item,question,score,ours_is\n"
@@ -159,6 +164,7 @@ METHODS = b"participant,item,question,score,method\n"
         (METHODS + b"P1,S1,q,3,styl3r\n", "row 2: method is 'styl3r'; expected ours or theirs"),
         (HEAD + b"P1,S1,q,3,A,5\n", "row 2 has 6 cells"),
         (HEAD + b",S1,q,3,A\n", "row 2: participant is empty"),
+        (HEAD[:-1] + b",method\nP1,S1,q,3,A,\nP1,S2,q,3,,ours\n", "question 'q' has both comparisons and ratings"),
         (b"participant,item,question,score,score\nP1,S1,q,3,3\n", "'score' twice"),
         (HEAD + b"P\x81,S1,q,3,A\n", "not UTF-8"),
         ((HEAD.decode() + "P1,S1,q,3").encode("utf-16")[:-1], "not UTF-16"),

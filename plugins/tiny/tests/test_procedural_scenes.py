@@ -189,8 +189,7 @@ def test_the_sine_of_our_own(angle):
 
 
 @pytest.mark.parametrize(
-    ("option", "value"),
-    [("size", 0), ("width", 5000), ("num_scenes", 0), ("views", 0), ("seed", -1), ("samples", 0)],
+    ("option", "value"), [("size", 0), ("width", 5000), ("num_scenes", 0), ("views", 0), ("seed", -1), ("samples", 0)]
 )
 def test_options_out_of_range_are_refused(option, value):
     with pytest.raises(UserError, match=f"{option}={value}"):

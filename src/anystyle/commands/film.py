@@ -67,9 +67,10 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
         views = [view_camera(camera, SourceImage.covering(name, camera.size, size)) for name, camera in stored]
         saved = replace(saved, cameras=Cameras.cat(views, dim=1))
     titles = [title for title, _ in saved.styles]
-    if arguments.style not in (None, *titles):
+    quoted = f"“{arguments.style}”"  # as a text is titled
+    title = quoted if quoted in titles else arguments.style or titles[-1]
+    if title not in titles:
         raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")
-    title = arguments.style or titles[-1]
     gaussians = tidied(dict(saved.styles)[title], saved.cameras, render, splat).to(default_device())
     saved, out = replace(saved, styles=((title, gaussians),)), job_folder(arguments.out)
     print(f"film {video.line(saved.cameras)} …", file=sys.stderr, flush=True)

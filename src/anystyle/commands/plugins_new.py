@@ -14,11 +14,11 @@ from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
+from anystyle.io.documents import read_text
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import VARIABLE, base_of, catalog, kinds
 from anystyle.registry.packages import presets, source_file
 
-TEMPLATES = paths.PACKAGE / "commands" / "templates"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
@@ -61,7 +61,7 @@ def write(kind: str, name: str, into: Path) -> Path:
     with atomic_directory(folder) as temporary:
         (temporary / f"{module}.py").write_text(_renamed(source, kind, name, cls), encoding="utf-8")
         for file in ("pyproject.toml", "test.py", "README.md"):
-            text = (TEMPLATES / f"{file}.in").read_text(encoding="utf-8").format(**facts)
+            text = read_text(Path(__file__).with_name("templates") / f"{file}.in").format(**facts)
             (temporary / file.replace("test.py", f"test_{module}.py")).write_text(text, encoding="utf-8")
     return folder
 

@@ -30,8 +30,8 @@ class Reader:
     """Reads cells as comparisons; the photographs of a scene are decoded once and stay the same tensor."""
 
     def __init__(self) -> None:
-        self.transparent: list[Path] = []
-        """The results of which something is transparent, and was put on white."""
+        self.transparent: dict[str, set[Path]] = {}
+        """The images of a kind of which something is transparent, and was put on white."""
         self._content = lru_cache(1)(_read_stack)
         self._reference = lru_cache(256)(read)
         self._depth = lru_cache(1)(_read_depths)
@@ -45,7 +45,9 @@ class Reader:
             "give fewer frames a scene, or smaller ones",
         )
         stylized, content = _read_stack(cell.stylized), self._content(cell.content)
-        self.transparent += [path for path in cell.stylized if open_alpha(path) is not None]
+        kinds = {"stylized images": cell.stylized, "photographs": cell.content, "style images": (cell.reference,)}
+        for kind, paths in kinds.items():
+            self.transparent.setdefault(kind, set()).update(path for path in paths if open_alpha(path) is not None)
         if (size := _size(stylized)) != _size(content):
             photograph = f"its photograph {cell.content[0]} {_size(content)}"
             raise UserError(f"{cell.stylized[0]} has {size} pixels and {photograph}; give both in one size")

@@ -45,8 +45,6 @@ def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> E
     by_scene: dict[str, list[Comparison]] = {}
     for comparison in comparisons:
         by_scene.setdefault(comparison.scenes[0] if comparison.scenes else "", []).append(comparison)
-    if not by_scene:
-        raise UserError("there is nothing to judge; give at least one stylized image with its photograph")
     n = sum(comparison.stylized.shape[1] for rows in by_scene.values() for comparison in rows)
     return aggregate({scene: judge_scene(metrics, rows) for scene, rows in by_scene.items()}, n=n)
 
@@ -57,8 +55,6 @@ def judge_pairing(
     """The scores of paired image files."""
     if not metrics:
         raise UserError("no metric is chosen; add metric=[NAME,...] (`anystyle plugins metric` lists them)")
-    if not pairing.cells:
-        raise UserError("there is nothing to judge; give at least one stylized image with its photograph")
     reader, steps, total = Reader(), count(), len(pairing.cells)
 
     def comparisons(cells: Iterable[StylizedImages]) -> Iterator[Comparison]:
@@ -72,8 +68,8 @@ def judge_pairing(
         by_scene.setdefault(cell.scene, []).append(cell)
     scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in by_scene.items()}
     on_progress(Progress.count(stage, total, total))
-    if some := reader.transparent:
-        told += [f"{len(some)} stylized images are transparent in places and judged on white, such as {some[0]}"]
+    line = "{} {} are transparent in places and judged on white, such as {}".format
+    told += [line(len(some), kind, min(some)) for kind, some in reader.transparent.items() if some]
     for line in filter(None, told):
         log.warning("%s", line)
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
@@ -159,6 +155,8 @@ def judge_scene(
 
 def aggregate(scenes: Mapping[str, Mapping[str, SceneScores]], *, n: int) -> Evaluation:
     """The scores over all scenes, from those of each metric for each; ``n`` is the number of stylized images."""
+    if not scenes:
+        raise UserError("there is nothing to judge; give at least one stylized image with its photograph")
     results = [scores for metrics in scenes.values() for scores in metrics.values()]
     warned = [text for result in results for text in result.warned]
     by_scene: dict[str, dict[str, float]] = {scene: {} for scene in scenes}
@@ -172,10 +170,9 @@ def aggregate(scenes: Mapping[str, Mapping[str, SceneScores]], *, n: int) -> Eva
     for name in dict.fromkeys(chain.from_iterable(by_scene.values())):
         values = {scene: scores.get(name, math.nan) for scene, scores in by_scene.items()}
         means[name] = mean(list(values.values()))
-        lacking = [scene for scene, value in values.items() if math.isnan(value)]
-        if 0 < len(lacking) < len(scenes):
-            without = ", ".join(lacking)
-            warned.append(f"{name} is the mean over the scenes without {without}, which have too little for it")
+        few = [scene for scene, value in values.items() if math.isnan(value)]
+        if 0 < len(few) < len(scenes):
+            warned.append(f"{name} is the mean over the scenes without {', '.join(few)}, which have too little for it")
     return Evaluation(
         scores=means,
         n=n,

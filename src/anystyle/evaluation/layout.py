@@ -12,7 +12,6 @@ DEFAULTS = ("{scene}/{style}/{frame}", "{scene}/{style}_{frame}", "{style}/{fram
 """Those that are tried where none is given: the two commonest, and what this program writes."""
 
 _PART = re.compile(r"(\{\w*\}|\*)")
-_ANY = "[^/]+?"
 
 
 class Meaning(NamedTuple):
@@ -107,7 +106,7 @@ def _compiled(text: str, known: Mapping[str, Iterable[str | None]]) -> re.Patter
             return "[^/]*"
         if not _PART.fullmatch(part):
             return _any_spelling(part)
-        names = (_ANY if name is None else _any_spelling(name) for name in known[part[1:-1]])
+        names = ("[^/]+?" if name is None else _any_spelling(name) for name in known[part[1:-1]])
         return f"(?P<{part[1:-1]}>{'|'.join(names)})"
 
     return re.compile("".join(map(written, _PART.split(text))), re.IGNORECASE)

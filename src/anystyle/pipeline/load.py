@@ -44,7 +44,6 @@ _log = logging.getLogger(__name__)
 PARTS = ("backbone", "style_encoder", "branch")
 CPU = torch.device("cpu")
 PRECISIONS = ("auto", "fp32", "bf16", "reference")
-StateDict = Mapping[str, Tensor]
 _SMALLER = "choose a smaller one with model=NAME"
 
 
@@ -277,7 +276,7 @@ def default_device() -> torch.device:
 def build_and_load(
     config: DictConfig,
     ours: Mapping[str, Path],
-    published: Mapping[str, StateDict],
+    published: Mapping[str, Mapping[str, Tensor]],
     style_encoder: StyleEncoder | None = None,
 ) -> tuple[Stylizer, dict[str, Header]]:
     """Build the parts and load each from our file or from a published state dict, which is taken without a copy.

@@ -87,6 +87,9 @@ class Restyler:
         if mask not in self._weights:
             seen = SeenScene(self.encoded.sources, self.encoded.cameras, self.encoded.stylizer.renderer)
             self._weights[mask] = mask.weights(self.unstyled, seen)
+            if not self._weights[mask].any():
+                middle = self.unstyled.means[0].median(0).values.tolist()
+                _log.warning("the mask %s holds none of the Gaussians, whose median is %s", mask.text, middle)
         return self._weights[mask]
 
 

@@ -13,8 +13,6 @@ from hydra.errors import HydraException
 from anystyle.errors import UserError
 from anystyle.io.documents import read_yaml
 
-RECORD = "multirun.yaml"
-"""The file in a multirun's folder into which Hydra writes its configuration before the first job."""
 _NOT_REPEATED = ("hydra.mode", "hydra.sweep.", "hydra.job.", "hydra.launcher", "hydra.sweeper")
 
 
@@ -29,10 +27,16 @@ def values_of(words: Sequence[str], parser: OverridesParser) -> list[list[str]]:
 
 
 def swept(folder: Path) -> list[list[str]]:
-    """For each override of a multirun what its jobs are given, in Hydra's order; empty where that is not known."""
+    """For each override of a multirun what its jobs are given, in Hydra's order; empty where a sweeper decides.
+
+    Hydra writes its record before the first job, over that of an earlier multirun in the same folder.
+    """
     try:
-        sweep: dict[str, Any] = read_yaml(folder / RECORD, dict[str, Any], what="record of a multirun")["hydra"]
-        params = [f"{key}={value}" for key, value in ((sweep.get("sweeper") or {}).get("params") or {}).items()]
+        sweep: dict[str, Any] = read_yaml(folder / "multirun.yaml", dict[str, Any], what="multirun's record")["hydra"]
+        sweeper = sweep.get("sweeper") or {}
+        if not sweeper.get("_target_", "BasicSweeper").endswith("BasicSweeper"):
+            return []
+        params = [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
         return values_of([*params, *sweep["overrides"]["task"]], OverridesParser.create())
     except (UserError, HydraException, KeyError, TypeError, AttributeError):
         return []
@@ -41,11 +45,8 @@ def swept(folder: Path) -> list[list[str]]:
 def announcement() -> str:
     """The line with which a job of a multirun begins, such as ``job 3 of 8: placement=head seed=1``."""
     hydra = HydraConfig.get()
-    lists: list[list[str]] = []
-    total = hydra.sweeper.get("n_trials")
-    if hydra.runtime.choices["hydra/sweeper"] == "basic":
-        lists = swept(Path(hydra.runtime.cwd, hydra.sweep.dir))
-        total = math.prod(map(len, lists)) if lists else None
+    lists = swept(Path(hydra.runtime.cwd, hydra.sweep.dir))
+    total = math.prod(map(len, lists)) if lists else hydra.sweeper.get("n_trials")
     varied = {values[0].partition("=")[0] for values in lists if len(values) > 1}
     words = [word for word in hydra.overrides.task if not varied or word.partition("=")[0] in varied]
     return f"job {hydra.job.num + 1}{f' of {total}' if total else ''}: {' '.join(words)}"

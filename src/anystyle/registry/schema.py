@@ -24,7 +24,6 @@ if typing.TYPE_CHECKING:
 
 _PLAIN = (int, float, bool, str)
 _SEQUENCES = (list, tuple, Sequence)
-_MAPPINGS = (dict, Mapping)
 _kept = functools.lru_cache(maxsize=512)
 """Of what follows from a class and its constructor: a sweep, and a process with many, describes each plugin once."""
 
@@ -144,7 +143,7 @@ def option(hint: Any) -> Any:
     if origin in _SEQUENCES or hint in _SEQUENCES:
         kinds = {item for item in arguments if item is not Ellipsis}
         return list[option(kinds.pop()) if len(kinds) == 1 else Any]
-    if origin in _MAPPINGS and arguments[0] in _PLAIN:
+    if origin in (dict, Mapping) and arguments[0] in _PLAIN:
         return dict[arguments[0], option(arguments[1])]
     return Any
 

@@ -132,9 +132,6 @@ def make_callbacks(given: Mapping[str, Any]) -> list[pl.Callback]:
     return [CALLBACKS[name](**(options or {})) for name, options in given.items()]
 
 
-PixelArray = NDArray[np.uint8]
-"""Height, width, 3; sRGB levels."""
-
 PACKAGES = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb", "mlflow": "mlflow-skinny"}
 """The names of loggers, and the package that each needs."""
 
@@ -158,8 +155,8 @@ def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Log
     return loggers
 
 
-def log_picture(logger: Logger, tag: str, picture: PixelArray, step: int) -> None:
-    """Log a picture under a tag at a step; tables take none."""
+def log_picture(logger: Logger, tag: str, picture: NDArray[np.uint8], step: int) -> None:
+    """Log a picture, ``[H, W, 3]`` in levels of sRGB, under a tag at a step; tables take none."""
     if isinstance(logger, TensorBoardLogger):
         logger.experiment.add_image(tag, picture, step, dataformats="HWC")
     elif isinstance(logger, WandbLogger):

@@ -2,7 +2,7 @@
 
 import functools
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar, Union, get_args, get_origin
 
@@ -59,7 +59,8 @@ def _check(value: object, annotation: Any, where: str, bound: dict[str, int]) ->
     if array is None or (value is None and optional):
         return
     axes = array.dim_str.split()
-    expected = f"{_kind(array)} of shape [{', '.join(_axis(axis, bound) for axis in axes)}]"
+    shape = ", ".join(f"{axis}={bound[axis]}" if axis in bound else axis for axis in axes)
+    expected = f"{_kind(array)} of shape [{shape}]"
     if not isinstance(value, Tensor):
         raise ShapeError(f"{where} is {_article(type(value).__name__)}", expected, "torch.as_tensor makes one")
     fits = value.ndim == len(axes) and str(value.dtype).removeprefix("torch.") in array.dtypes
@@ -86,10 +87,6 @@ def _remedy(value: Tensor, axes: Sequence[str]) -> str:
     if is_image and value.ndim >= 3 and given[-3] != 3 and given[-1] in (1, 3, 4):
         return "colours come before the rows: [..., :3].movedim(-1, -3)"
     return "the first axis, of scenes, is missing: [None]" if value.ndim == len(axes) - 1 else ""
-
-
-def _axis(axis: str, bound: Mapping[str, int]) -> str:
-    return f"{axis}={bound[axis]}" if axis in bound else axis
 
 
 def _kind(array: Any) -> str:

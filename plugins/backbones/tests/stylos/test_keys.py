@@ -14,7 +14,7 @@ from tests.support import stylos_reference
 CHECKPOINTS = keys.StylosCheckpoints()
 MASK = "aggregator.patch_embed.mask_token"
 CONFIGURED = {"dl3dv_geo": {}, "co3d_geo_frame_base": {"style_order": "frame"}} | {
-    "co3d_geo_hybrid_base": {"style_order": "hybrid"},
+    "co3d_geo_hybrid_base": {"style_order": "hybrid"}
 }
 
 

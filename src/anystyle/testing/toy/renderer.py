@@ -3,9 +3,10 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from anystyle.contracts import Renderer
-from anystyle.geometry.harmonics import rgb_from_constant
+from anystyle.geometry.harmonics import colors
 from anystyle.geometry.projection import covariances
 from anystyle.types import Cameras, Gaussians, Renders
 
@@ -13,7 +14,7 @@ from anystyle.types import Cameras, Gaussians, Renders
 class ToyRenderer(Renderer):
     """Draw every Gaussian over the whole image, as a blob whose spread in a direction is its mean spread there.
 
-    Only constant colours, at a cost of Gaussians times pixels: for small scenes.
+    At a cost of Gaussians times pixels: for small scenes.
 
     Args:
         background: Colour in [0, 1] behind the scene.
@@ -48,10 +49,10 @@ class ToyRenderer(Renderer):
         v, u = torch.meshgrid(torch.arange(cameras.size[0]), torch.arange(cameras.size[1]), indexing="ij")
         offset = torch.stack([u, v], dim=-1).to(center) + 0.5 - center[:, None, None]  # N H W 2
         falloff = torch.exp(-0.5 * offset.square().sum(-1) / variance[:, None, None])
-        alpha = (opacities * (local[:, 2] > self.near))[:, None, None] * falloff  # N H W
         order = local[:, 2].argsort()
-        alpha = alpha[order]
+        alpha = ((opacities * (local[:, 2] > self.near))[:, None, None] * falloff)[order]  # N H W
         passing = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha).cumprod(0)[:-1]])  # what is left of the light
-        color = rgb_from_constant(gaussians.harmonics[scene, :, 0]).clamp_min(0)  # N 3
+        away = normalize(gaussians.means[scene] - cameras.world_from_camera[scene, view, :3, 3], dim=-1)
+        color = colors(gaussians.harmonics[scene], away)  # N 3
         shown = torch.cat([color, depth[:, None], torch.ones_like(depth[:, None])], dim=-1)[order]  # N 5
         return torch.einsum("nhw,nc->chw", alpha * passing, shown)
