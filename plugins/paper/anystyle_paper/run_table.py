@@ -206,6 +206,10 @@ def state_notes(lines: Sequence[Line]) -> list[str]:
     notes = [f"{len(states)} of {len(lines)} rows have no scores: {', '.join(states)}."] if states else []
     if any(line.origin == "stand-in" for line in lines):
         notes.append(f"Rows marked “{STAND_IN}” come from networks that replace the published ones.")
+    numbers = {line.title: run.record().n for line in lines for run in line.runs if line.samples and run.record().n}
+    if len({*numbers.values()}) > 1:
+        told = ", ".join(f"{title} {n}" for title, n in numbers.items())
+        notes.append(f"Behind the rows are different numbers of samples: {told}.")
     notes += version_notes(lines)
     num_seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
     if num_seeds > 1:

@@ -15,9 +15,9 @@ from anystyle_paper import published_scores as published
 from anystyle_paper import run_table as report
 
 
-def evaluation(folder, scores, *, groups=None, stand_ins=None, better=None, **provenance):
+def evaluation(folder, scores, *, n=4, groups=None, stand_ins=None, better=None, **provenance):
     folder.mkdir(parents=True, exist_ok=True)
-    found = Evaluation(scores, 4, better=better or {}, groups=groups or {}, stand_ins=stand_ins or {})
+    found = Evaluation(scores, n, better=better or {}, groups=groups or {}, stand_ins=stand_ins or {})
     record.write(found, folder, {"protocol": "paper", **provenance})
     return folder
 
@@ -36,7 +36,7 @@ def job(folder, *words, scores=None, logged=None, **more):
 def sweep(tmp_path):
     root = tmp_path / "sweep"
     job(root / "0", "ablation=base", "experiment=tiny", scores={"art_fid": 20.0}, better={"art_fid": "lower"})
-    job(root / "1", "ablation=no_text", "experiment=tiny", scores={"art_fid": 25.0})
+    job(root / "1", "ablation=no_text", "experiment=tiny", scores={"art_fid": 25.0}, n=2)
     job(root / "2", "ablation=no_style_loss", "experiment=tiny")
     job(root / "10", "ablation=all_geometry", "experiment=tiny")
     (root / "10" / "last.ckpt").write_bytes(b"half")
@@ -53,6 +53,7 @@ def test_jobs_in_order_with_what_became_of_them(sweep):
     assert [row[::2] for row in made.rows] == [
         ("base", "20"), ("no_text", "25"), ("no_style_loss", "–"), ("all_geometry", "–")
     ]  # fmt: skip
+    assert "Behind the rows are different numbers of samples: base 4, no_text 2." in report.state_notes(lines)
 
 
 def test_jobs_that_left_nothing_are_missing(sweep):
@@ -68,9 +69,9 @@ def test_jobs_that_left_nothing_are_missing(sweep):
         ("10", "unfinished", "ablation=all_geometry"),
     ]
     (sweep / "multirun.yaml").write_text("hydra: {overrides: {task: ['ablation=base,all,no_text', experiment=tiny]}}\n")
-    found = [(run.folder.name, run.state, run.words[0]) for run in runs.find(sweep)][:3]
-    missing = ("1", "missing", "ablation=all")  # that of the last command, in whose folder lies another's
-    assert found == [("0", "finished", "ablation=base"), missing, ("1", "finished", "ablation=no_text")]
+    found = [(run.folder.name, run.state, run.words[0][9:]) for run in runs.find(sweep)]
+    # In the folder of the last command's second job lies another's.
+    assert found[:3] == [("0", "finished", "base"), ("1", "missing", "all"), ("1", "finished", "no_text")]
 
 
 def test_jobs_that_are_named_by_their_words_are_found_also_where_these_have_a_slash(tmp_path):
