@@ -26,7 +26,6 @@ from anystyle.types import Scene, StyleEmbedding, Tokens
 from anystyle.vision.preprocess import eight_bit
 from tests.support.backbone_cases import network, same, views
 
-NAMES = ["styl3r", "stylos"]
 AS_THE_NETWORK_READS = {
     "styl3r": {"resolution": None, "style_range": "symmetric"},
     "stylos": {"resolution": None, "native_resolution": 56},
@@ -39,7 +38,7 @@ FIRST_VIEW: dict[str, Callable[[StyleEncoder, Scene], Tokens]] = {
 """Tokens of the first photograph, as the network computes unstyled colours with."""
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(scope="module", params=["styl3r", "stylos"])
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
 

@@ -17,10 +17,8 @@ from anystyle_benchmark.judge import DEPTH
 from anystyle_benchmark.track import TRACKS, Inputs
 from tests.support.benchmark_world import write_track
 
-SHIPPED = ("open", "smoke", "ablation", "consistency")
 
-
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", ("open", "smoke", "ablation", "consistency"))
 def test_a_shipped_track_is_whole_and_says_who_may_pass_it_on(name: str) -> None:
     inputs = Inputs(name)
     assert inputs.hashes == inputs.track.sha256

@@ -15,8 +15,6 @@ from anystyle.types import Gaussians, Scene, Source, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, no_progress
 from anystyle_methods.scene_loop import SceneLoop
 
-Recolor = Literal["none", "before", "after", "both"]
-
 
 class Optimize(Method):
     """Optimise Gaussians by gradient descent on a weighted sum of losses of their renders, one view per step.
@@ -52,7 +50,7 @@ class Optimize(Method):
         means_lr: NonNegative = 0.0,
         decay: Share = 0.1,
         needs_image: bool = True,
-        recolor: Recolor = "none",
+        recolor: Literal["none", "before", "after", "both"] = "none",
         style_size: AtLeastOne | None = None,
         report_every: AtLeastOne = 25,
         keep_harmonics: bool = False,

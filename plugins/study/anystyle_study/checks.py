@@ -75,6 +75,9 @@ def check(
     checks = Checks(len({answer.participant for answer in records.answers}), len(given), sum(given))
     main = [answer for answer in records.answers if not answer.is_check]
     items = {who: {(row.item, row.comparison) for row in of} for who, of in _grouped(main, "participant").items()}
+    facts = {(row.item, name, value) for row in main for name in ("scene", "style") if (value := getattr(row, name))}
+    if twice := [item for (item, _), number in Counter(fact[:2] for fact in facts).items() if number > 1]:
+        raise UserError(f"sets of several scenes or styles: {some(sorted(set(twice)))}; give each a name of its own")
     main = _deduplicated(_in_range(main, by_question, checks), checks)
     _check_attention(attention, main, by_question, rules, checks)
     asked = Counter(question for question, _ in {(answer.question, answer.method) for answer in main})
@@ -124,7 +127,7 @@ def split(answers: Sequence[Answer], scales: Mapping[str, Scale]) -> list[Respon
         responses.append(
             Responses(
                 question=f"{question} vs {comparison}" if several else question,
-                deviations=np.array(deviations, dtype=float),
+                deviations=np.array(deviations, dtype=float).round(12),  # scores in tenths are equal where they are
                 participants=person,
                 items=item,
                 ours_is_a=np.array([row.ours_is_a for row in rows], dtype=bool),

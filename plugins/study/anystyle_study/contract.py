@@ -115,7 +115,7 @@ class Responses:
         by_person = unit == "participant"
         codes = self.participants if by_person else self.items
         present, code, counts = np.unique(codes, return_inverse=True, return_counts=True)
-        means = np.bincount(code, weights=self.deviations) / counts
+        means = (np.bincount(code, weights=self.deviations) / counts).round(12)  # equal means are equal
         absent = np.full(len(present), -1)
         people, items = (present, absent) if by_person else (absent, present)
         return replace(self, deviations=means, participants=people, items=items, ours_is_a=None, unit=unit)

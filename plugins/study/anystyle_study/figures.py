@@ -25,7 +25,6 @@ _INK, _SOFT = "#24292e", "#6b7280"
 _MAX_NAMED = 45  # rows; names of more would overlap
 _AXIS = "← ours preferred      mean answer, relative to neutral      theirs preferred →"
 _LABELS = {-1.0: "ours much better", 0.0: "no difference", 1.0: "theirs much better"}
-_FINE_LABELS = _LABELS | {-0.5: "ours better", 0.5: "theirs better"}
 # Okabe and Ito's colours, distinct under colour blindness.
 _PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#332288", "#117733")
 _MARKERS = {"response": "x", "participant": "o", "item": "s"}
@@ -102,7 +101,7 @@ def likert(analysis: Analysis) -> "Figure":
         axes.set_xlabel("← ours preferred        fraction of the answers        theirs preferred →")
         levels = sorted({level for row, _ in bars for level in row})
         if len(levels) <= 21:
-            labels = _FINE_LABELS if len(levels) <= 5 else _LABELS
+            labels = _LABELS | {-0.5: "ours better", 0.5: "theirs better"} if len(levels) <= 5 else _LABELS
             handles = [Patch(color=_level_color(level), label=labels.get(level, "")) for level in levels]
             look: dict[str, Any] = {"frameon": False, "fontsize": 7.5, "handlelength": 1, "columnspacing": 1.2}
             figure.legend(handles=handles, loc="outside upper center", ncols=len(levels), **look)

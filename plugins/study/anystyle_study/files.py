@@ -15,7 +15,6 @@ from anystyle.io.documents import fit, parse_json, read_bytes
 log = logging.getLogger(__name__)
 
 _MAX_BYTES = 256 << 20
-_WORKBOOKS = (b"PK\3\4", b"\xd0\xcf\x11\xe0")
 
 
 PEOPLE = (
@@ -93,7 +92,7 @@ def _answers(names: list[str], rows: list[list[str]], source: str) -> list[int]:
 
 def _decoded(content: bytes, source: str) -> str:
     """Text in UTF-8, UTF-16 or UTF-32; other bytes are read as Windows-1252, and that is told."""
-    if content.startswith(_WORKBOOKS):
+    if content.startswith((b"PK\3\4", b"\xd0\xcf\x11\xe0")):
         raise UserError(f"{source} is a workbook or an archive; save its sheet of answers as CSV UTF-8")
     encoding = json.detect_encoding(content)  # by a mark, or by the zeros in a plain header
     try:

@@ -24,8 +24,7 @@ log = logging.getLogger(__name__)
 REQUIRED = ("participant", "item", "question", "score")  # the columns that every table has
 _OPTIONAL = ("study", "side", "ours_is", "method", "scene", "style", "expected", "comparison", "seconds", "comment")
 _OPTIONAL += ("session",)
-_BOOKKEEPING = ("time", "device", "revision", "received", "id")
-_KNOWN = frozenset(("", *REQUIRED, *_OPTIONAL, *_BOOKKEEPING))
+_KNOWN = frozenset(("", *REQUIRED, *_OPTIONAL, "time", "device", "revision", "received", "id"))
 _SUFFIXES = (".csv", ".tsv", ".json")
 _Row = dict[str, str]
 

@@ -12,7 +12,6 @@ from anystyle_study.files import Sheet, read_sheet
 log = logging.getLogger(__name__)
 
 _KEY = ("column", "item", "question", "ours_is", "method", "side", "scene", "style", "expected", "comparison")
-_FACTS = ("ours_is", "expected", "comparison", "seconds")
 _KINDS = {"a": "side", "b": "side", "ours": "method", "theirs": "method"}
 # `S1:style`, `S1 [style]`, `S1_style`, and with what was rated: `S1/content/A`
 _HEADING = re.compile(
@@ -59,7 +58,7 @@ def _headings(names: list[str], items: Collection[str], facts: dict[str, dict[st
     for index, name in enumerate(names):
         if found := _HEADING.fullmatch(name):
             item, what = found["item"].strip(), found["what"].strip()
-            if (fact := what.lower().replace(" ", "_")) in _FACTS:
+            if (fact := what.lower().replace(" ", "_")) in ("ours_is", "expected", "comparison", "seconds"):
                 facts.setdefault(item, {})[fact] = index
             else:
                 kind = found["of"] or ""

@@ -23,7 +23,6 @@ from tests.support.study_cases import answer_rows, small_study, write_csv
 
 PLAIN = {"one_sample_t": OneSampleT(), "wilcoxon": Wilcoxon()}
 TESTS = PLAIN | {"sign_flip": SignFlip(resamples=499), "crossed_t": CrossedT()}
-QUESTIONS = ("style", "content", "overall")
 
 
 def run(*arguments):
@@ -33,7 +32,7 @@ def run(*arguments):
 
 @pytest.fixture(scope="module")
 def analysis(tmp_path_factory):
-    rows = answer_rows(people=12, items=6, questions=QUESTIONS)
+    rows = answer_rows(people=12, items=6, questions=("style", "content", "overall"))
     path = write_csv(tmp_path_factory.mktemp("answers") / "r.csv", rows)
     return analyze(read_responses([path]), TESTS)
 

@@ -164,6 +164,7 @@ METHODS = b"participant,item,question,score,method\n"
         (METHODS + b"P1,S1,q,3,styl3r\n", "row 2: method is 'styl3r'; expected ours or theirs"),
         (HEAD + b"P1,S1,q,3,A,5\n", "row 2 has 6 cells"),
         (HEAD + b",S1,q,3,A\n", "row 2: participant is empty"),
+        (HEAD[:-1] + b",scene\nP1,S1,q,3,A,a\nP2,S1,q,3,A,b\n", "sets of several scenes or styles: S1; give each"),
         (HEAD[:-1] + b",method\nP1,S1,q,3,A,\nP1,S2,q,3,,ours\n", "question 'q' has both comparisons and ratings"),
         (b"participant,item,question,score,score\nP1,S1,q,3,3\n", "'score' twice"),
         (HEAD + b"P\x81,S1,q,3,A\n", "not UTF-8"),
@@ -184,6 +185,12 @@ def test_bad_files_end_in_one_line(tmp_path, content, words):
     with pytest.raises(ValueError, match=r"^[^\n]+$") as error:
         judged(path)
     assert words in str(error.value)
+
+
+def test_differences_of_scores_in_tenths_are_equal_where_they_are(tmp_path):
+    path = write_csv(tmp_path / "r.csv", [("P1", "S1", "q", 0.8, "A"), ("P2", "S1", "q", 0.2, "B")])
+    _, (responses,) = judged(path, scale=Scale(0, 1))
+    assert [*responses.deviations] == [0.3, 0.3]
 
 
 AB = ("A is much better", "A is better", "No difference", "B is better", "B is much better")

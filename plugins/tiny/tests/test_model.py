@@ -13,8 +13,6 @@ from anystyle.testing.inputs import images
 from anystyle_magenta.teacher import Teacher
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 
-TEXTS = ("shades of red", "shades of blue")
-
 
 @pytest.fixture(scope="module")
 def stylizer():
@@ -50,7 +48,7 @@ def test_texts_and_pictures_turn_a_scene_to_their_colours(stylizer, scene):
     before = redness(unstyled)
     sheet = images(1, (112, 112), seed=4).mean(1, keepdim=True)
     tinted = [sheet * torch.tensor(color).view(3, 1, 1) for color in ((1.0, 0.2, 0.1), (0.1, 0.2, 1.0))]
-    for sign, text, image in zip((1, -1), TEXTS, tinted, strict=True):
+    for sign, text, image in zip((1, -1), ("shades of red", "shades of blue"), tinted, strict=True):
         for embedding in (stylizer.embed(text=text), stylizer.embed(image=image)):
             styled = stylizer.restyle(scene, embedding)
             assert all(

@@ -23,7 +23,6 @@ from anystyle_viewer.session import Session, StyleRequest
 
 NO_STYLE = "—"
 THUMBNAIL_HEIGHT = 72
-VISER_PAGE = Path(viser.__file__).parent / "client" / "build" / "index.html"
 
 OnFrame = Callable[[int, int], None]
 
@@ -56,7 +55,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         self.server = PageServer(
             port=port,
             viser_port=self.viser.get_port(),
-            page=page(VISER_PAGE),
+            page=page(Path(viser.__file__).parent / "client" / "build" / "index.html"),
             on_post={
                 "/picture": lambda query, body: self.request(str(store_upload(folder, query.get("name", ""), body))),
                 "/style": lambda _, body: self.request(body.decode("utf-8", errors="replace")),

@@ -16,8 +16,6 @@ from anystyle.ranges import Positive
 from anystyle.types import Stylization
 from anystyle_backbones.anysplat.adapter import fuse, voxel_clusters
 
-RELU = ("relu1_1", "relu2_1", "relu3_1", "relu4_1", "relu5_1")
-
 
 class AdainVoxels(FeatureLoss):
     """Match means and deviations of features to the style's, and features to the photographs' (Stylos' objective).
@@ -52,7 +50,7 @@ class AdainVoxels(FeatureLoss):
         *,
         pool: Literal["image", "scene", "voxels"] = "voxels",
         network: str = "vgg_normalised",
-        layers: Sequence[str] = RELU,
+        layers: Sequence[str] = ("relu1_1", "relu2_1", "relu3_1", "relu4_1", "relu5_1"),
         layer_weights: Sequence[float] = (16, 8, 4, 2, 1),
         content_weight: float = 0.1,
         voxel_size: Positive = 0.002,

@@ -21,7 +21,6 @@ from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, TOLERA
 from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
 
 _log = logging.getLogger(__name__)
-_WHAT = "transforms.json of cameras"
 _SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 _MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
@@ -119,7 +118,7 @@ def _splits(folder: Path) -> list[Path]:
 
 
 def _cameras(path: Path, images: Sequence[Path]) -> list[tuple[str, StoredCamera]]:
-    content: _Transforms = read_json(path, _Transforms, what=_WHAT)
+    content: _Transforms = read_json(path, _Transforms, what="transforms.json of cameras")
     if content.w is None and content.h is None and any(frame.w is None for frame in content.frames):
         content.w, content.h = _size(path, content.frames, images)
     try:
