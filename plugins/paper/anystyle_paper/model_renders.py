@@ -111,6 +111,7 @@ class ModelRenders(Protocol):
             image = self._style(index)[0][0]
             if not path.is_file():
                 write_picture(path, image, self.variant)
+            # As it would be written now, for JPEG takes small patterns away.
             with TemporaryDirectory() as folder:
                 write_picture(made := Path(folder) / path.name, image, self.variant)
                 before, now = (adaptive_avg_pool2d(read(each), 16) for each in (path, made))
@@ -181,7 +182,7 @@ class ModelRenders(Protocol):
         embedding = self.stylizer.embed(text=style.text) if by_text else self.stylizer.embed(image=image.to(device))
         gaussians = self.method(self.stylizer, scene, style.to(device), embedding)
         renders: list[Tensor] = []
-        for chunk in torch.arange(len(frames)).split(4):
+        for chunk in torch.arange(len(frames)).split(4):  # so many at once, for memory
             renders.extend(self.stylizer.render(gaussians, scene.cameras.select(chunk.tolist())).color[0].cpu())
         seconds = time.perf_counter() - start
         for frame, render in zip(frames, renders, strict=True):
