@@ -170,6 +170,12 @@ class MixedStyles(ToyInjector):
         return super().forward(tokens, style - 0.5 * style.mean(0, keepdim=True))
 
 
+class EveryOtherPatch(ToyInjector):
+    def forward(self, tokens, style):
+        result = super().forward(tokens, style).data
+        return tokens.with_data(torch.where(torch.arange(result.shape[2])[:, None] % 2 == 0, result, tokens.data))
+
+
 class Slopes(ToyLoss):
     def forward(self, result):
         across, down = (result.renders.color.diff(dim=dim)[..., :32, :32].square() for dim in (-1, -2))
@@ -250,10 +256,6 @@ def transposed_lens(cameras):
     return replace(cameras, intrinsics=cameras.intrinsics[..., order, :][..., order])
 
 
-def other_view(tensor):
-    return tensor.roll(1, dims=1)
-
-
 def along_ray(cameras):
     """How much longer a ray is than its part along z, pixel by pixel."""
     height, width = cameras.size
@@ -331,6 +333,11 @@ class Reversed(ToyMetric):
     better: ClassVar = {"change": "higher"}
 
 
+class Spent(ToyMetric):
+    def compute(self):
+        return super().compute() + self.total.zero_()
+
+
 class Remembering(ToyMetric):
     def reset(self):
         total, count = self.total, self.count
@@ -341,6 +348,11 @@ class Remembering(ToyMetric):
 class Summed(ToyLoss):
     def forward(self, result):
         return super().forward(result) * len(result.renders.color)
+
+
+class Weighted(ToyLoss):
+    def forward(self, result):
+        return self.weight * super().forward(result)
 
 
 HALF = torch.tensor([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
@@ -374,7 +386,7 @@ MUTANTS = {
             (unprojected(posed(change)), "gaussians_lie_where_pixels_see_them")
             for change in (inverted, opengl, farther, of_a_square, transposed_lens)
         ),
-        (unprojected(lambda g: replace(g, depth=other_view(g.depth))), "gaussians_lie_where_pixels_see_them"),
+        (unprojected(lambda g: replace(g, depth=g.depth.roll(1, dims=1))), "gaussians_lie_where_pixels_see_them"),
         (unprojected(lambda g: replace(g, depth=g.depth.log())), "gaussians_lie_where_pixels_see_them"),
         (published(Lenient), "published_weights_load_strictly"),
         (published(Narrow), "a_published_file_becomes_a_stylizer"),
@@ -383,6 +395,7 @@ MUTANTS = {
         (Biased, "changes_nothing_at_initialisation"),
         (FirstViewOnly, "views_have_no_order"),
         (MixedStyles, "styles_of_a_batch_stay_apart"),
+        (EveryOtherPatch, "style_matters_after_training"),
     ],
     "placement": [(changed(ToyPlacement, "select", lambda sites: sites[::-1]), "selects_sites_of_the_backbone")],
     "loss": [
@@ -391,6 +404,7 @@ MUTANTS = {
         (Slopes, "something_learns_from_it"),
         (ReadsAbsentImages, "absent_images_are_not_read"),
         (Summed, "a_batch_has_a_mean"),
+        (Weighted, "value_is_reproducible"),
     ],
     "metric": [
         (changed(ToyMetric, "compute", lambda score: score.nan_to_num(0)), "too_little_is_not_an_error"),
@@ -399,6 +413,8 @@ MUTANTS = {
             "inputs_are_left_alone",
         ),
         (Remembering, "inputs_are_left_alone"),
+        (Spent, "copies_and_processes_can_be_merged"),
+        (given(ToyMetric, "update", lambda c: replace(c, content=c.content.roll(1, 1))), "the_ideal_is_not_the_worst"),
         (MeanOfBatches, "order_does_not_matter"),
         (Reversed, "the_ideal_is_not_the_worst"),
     ],

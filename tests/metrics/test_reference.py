@@ -183,19 +183,15 @@ def test_a_hole_is_no_error_as_published_and_none_as_meant():
     assert float(meant.seen.float().mean()) == 0.5
     torch.testing.assert_close(meant.image, meant.target, rtol=0, atol=1e-5)
 
+    class Still(Correspondence):
+        def __call__(self, source: Frames, target: Frames) -> Flow:
+            return Flow(flow, visible)
+
     for variant, close in (("corrected", True), ("reference", False)):
-        metric = WarpConsistency(correspondence=_still(flow, visible), variant=variant, weights="stand_in")
+        metric = WarpConsistency(correspondence=Still(), variant=variant, weights="stand_in")
         metric.update(Comparison(frames[None], frames[None]))
         with pytest.warns(UserWarning, match="8 frames"):
             found = metric.compute()
         assert (float(found["warp_rmse_short"]) < 1e-5) is close
         assert float(found["warp_coverage_short"]) == (0.5 if close else 1.0)
         assert found["warp_rmse_long"].isnan()
-
-
-def _still(displacement, visible):
-    class Still(Correspondence):
-        def __call__(self, source: Frames, target: Frames) -> Flow:
-            return Flow(displacement, visible)
-
-    return Still()

@@ -39,11 +39,6 @@ class Training(Pluggable, pl.LightningModule, ABC):
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> BatchSource:
         """The batch of every step."""
 
-    @classmethod
-    def example_sources(cls) -> tuple[SceneSource, StyleSource] | None:
-        """Small scenes and styles that the contract's checks train on; ``None`` where any will do."""
-        return None
-
     @abstractmethod
     def exports(self) -> Mapping[str, nn.Module]:
         """The modules whose weights are written at the end, by the part that they are, such as ``branch``."""

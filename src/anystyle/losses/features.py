@@ -53,11 +53,6 @@ def drawn_for_rows(rows: int, draw: Callable[[int], Drawn]) -> Drawn:
 Reference = Literal["photograph", "render"]
 
 
-def reference_images(result: Stylization, reference: Reference) -> Float[Tensor, "B V 3 H W"]:
-    """The unstyled images of the views."""
-    return result.views.images if reference == "photograph" else unstyled_renders(result).color
-
-
 def unstyled_renders(result: Stylization) -> Renders:
     """The renders of the unstyled scene, which ``reference=render`` compares with."""
     if result.unstyled is None:
@@ -93,11 +88,9 @@ def reference_embeddings(
     result: Stylization, reference: Reference, encoder: StyleEncoder, size: int | None
 ) -> Float[Tensor, "M D"]:
     """The style encoder's embeddings of the unstyled images, resized to a square, without gradients."""
-
-    def embed(images: Tensor) -> list[Tensor]:
-        return [encoder.embed_images(resized(images, size, "bicubic"))]
-
-    return features_to_compare(reference_images(result, reference), (identity(encoder), size), embed)[0]
+    images = result.views.images if reference == "photograph" else unstyled_renders(result).color
+    key = (identity(encoder), size)
+    return features_to_compare(images, key, lambda each: [encoder.embed_images(resized(each, size, "bicubic"))])[0]
 
 
 FeatureFn = Callable[[], list[Float[Tensor, "M _ _ _"]]]

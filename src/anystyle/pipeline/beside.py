@@ -91,16 +91,11 @@ def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: st
         folders.append(path.parent.parent.parent)
     for folder in folders:
         file = folder / "cameras.json"
-        stored = own_cameras(file) if file.is_file() and _is_own(file) else stored_cameras(folder)
+        is_own = file.is_file() and b'"world_from_camera"' in file.read_bytes()[:4096]  # and not of another program
+        stored = own_cameras(file) if is_own else stored_cameras(folder)
         if stored:
             return _in_model(_without(offset, stored), [folder, *folders], own_up)
     return {}
-
-
-def _is_own(file: Path) -> bool:
-    """Whether a ``cameras.json`` is of this program, and not of another one."""
-    with file.open("rb") as stream:
-        return b'"world_from_camera"' in stream.read(4096)
 
 
 def _without(offset: Offset, stored: dict[str, StoredCamera]) -> dict[str, StoredCamera]:

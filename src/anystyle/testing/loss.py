@@ -1,5 +1,6 @@
 """What a loss promises: see :class:`anystyle.contracts.Loss`."""
 
+import copy
 from dataclasses import replace
 from functools import cache
 
@@ -18,10 +19,12 @@ from anystyle.types.shapes import check_tensor
 def test_value_is_one_finite_number(plugin: Subject[Loss]) -> None:
     """It has a ``weight``, and gives a finite number for any scenes, and for styles of an image or a text alone."""
     assert isinstance(getattr(_loss(plugin), "weight", None), int | float), "`weight` is not a number; set it"
-    for batch, number, size in ((1, 2, (80, 80)), (2, 3, (64, 80)), (1, 1, (96, 64))):
-        _assert_number(_value(plugin, stylization(batch, number, size)))
-    _assert_number(_value(plugin, stylization(text=False)))
-    _assert_number(_value(plugin, stylization(image=False)))
+    results = [stylization(*each) for each in ((1, 2, (80, 80)), (2, 3, (64, 80)), (1, 1, (96, 64)))]
+    for result in (*results, stylization(text=False), stylization(image=False)):
+        value = _value(plugin, result)
+        check_tensor(value, Float[Tensor, ""], "the loss")
+        assert value.dtype == torch.float32, f"the loss is {value.dtype}"
+        asserts.finite(value, "the loss")
 
 
 def test_absent_images_are_not_read(plugin: Subject[Loss]) -> None:
@@ -37,11 +40,15 @@ def test_absent_images_are_not_read(plugin: Subject[Loss]) -> None:
 
 
 def test_value_is_reproducible(plugin: Subject[Loss]) -> None:
-    """After the same seed the same stylization gives the same number, and is left as it was."""
+    """After the same seed the same stylization gives the same number, whatever ``weight``, and is left as it was."""
     result = stylization(1, 2)
     before = result.map(lambda tensor: tensor.detach().clone())
     asserts.same(_value(plugin, result), _value(plugin, result), "the same loss again")
     asserts.same(result, before, "the stylization after the loss was computed")
+    heavy = copy.copy(_loss(plugin))
+    heavy.weight = 3 * heavy.weight
+    with seeded(0):
+        asserts.same(heavy(result), _value(plugin, result), "the loss of three times the `weight`")
 
 
 def test_a_batch_has_a_mean(plugin: Subject[Loss]) -> None:
@@ -74,9 +81,3 @@ def _loss(plugin: Subject[Loss]) -> Loss:
 def _value(plugin: Subject[Loss], result: Stylization) -> Tensor:
     with seeded(0):
         return _loss(plugin)(result)
-
-
-def _assert_number(value: Tensor) -> None:
-    check_tensor(value, Float[Tensor, ""], "the loss")
-    assert value.dtype == torch.float32, f"the loss is {value.dtype}"
-    asserts.finite(value, "the loss")

@@ -13,7 +13,7 @@ import lightning.pytorch as pl
 import torch
 from torch import Tensor, nn
 
-from anystyle.contracts import SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts import StyleEncoder
 from anystyle.contracts.training import Training
 from anystyle.testing import asserts
 from anystyle.testing.subject import Subject, seeded
@@ -28,6 +28,8 @@ from anystyle.training.callbacks import StepSeed
 from anystyle.training.data import StepData
 from anystyle.types import Value
 
+SOURCES = ToyScenes(size=(32, 32)), ToyStyles(size=32, period=8)
+
 
 def test_exports_what_it_trains(plugin: Subject[Training]) -> None:
     """``exports`` names at least one module with weights, and every name is an identifier."""
@@ -40,13 +42,12 @@ def test_exports_what_it_trains(plugin: Subject[Training]) -> None:
 
 def test_batches_are_functions_of_the_step(plugin: Subject[Training]) -> None:
     """A step's batch does not depend on earlier steps, so that a resumed run equals an uninterrupted one."""
-    sources = _sources(plugin)
-    source = _make(plugin).batches(*sources, seed=0)
+    source = _make(plugin).batches(*SOURCES, seed=0)
     first = source.batch(1, 0, 1)
     assert isinstance(first, Value), f"a batch is a {type(first).__name__}, not a dataclass of anystyle.types.Value"
     kept = first.map(Tensor.clone)
     source.batch(0, 0, 1)
-    for what, again in (("this source", source), ("a new one", _make(plugin).batches(*sources, seed=0))):
+    for what, again in (("this source", source), ("a new one", _make(plugin).batches(*SOURCES, seed=0))):
         asserts.same(again.batch(1, 0, 1), kept, f"the batch of step 1, asked again from {what}")
 
 
@@ -74,15 +75,11 @@ def _encoder(plugin: Subject[Training]) -> StyleEncoder:
     return ToyStyleEncoder()
 
 
-def _sources(plugin: Subject[Training]) -> tuple[SceneSource, StyleSource]:
-    return plugin.cls.example_sources() or (ToyScenes(size=(32, 32)), ToyStyles(size=32, period=8))
-
-
 @cache
 def _trained(plugin: Subject[Training]) -> dict[str, Tensor]:
     """The weights after two steps."""
     training = _make(plugin)
-    source = training.batches(*_sources(plugin), seed=0)
+    source = training.batches(*SOURCES, seed=0)
     off = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary", "use_distributed_sampler")
     options: dict[str, Any] = dict.fromkeys(off, False) | {"num_sanity_val_steps": 0, "limit_val_batches": 0}
     logging.disable(logging.WARNING)  # Lightning greets, and advises on long runs

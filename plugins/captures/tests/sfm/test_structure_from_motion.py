@@ -152,17 +152,13 @@ def two_rooms(per_room):
     return [*photographs(arc(per_room, 10), prefix="a"), *photographs(arc(per_room, 10), seed=5, prefix="b")]
 
 
-def blank_wall():
-    return [Photograph(str(number), np.full((96, 128, 3), 190, dtype=np.uint8)) for number in range(4)]
-
-
 @pytest.mark.parametrize(
     ("capture", "reason"),
     [
         pytest.param(lambda: photographs(panorama(6, 40)), "turned without moving", marks=pytest.mark.slow),
         (lambda: two_rooms(1), "do not overlap: no two"),
         (lambda: two_rooms(2), "do not overlap: only"),
-        (blank_wall, "too little to see"),
+        (lambda: [Photograph(str(number), np.full((96, 128, 3), 190, np.uint8)) for number in range(4)], "too little"),
         (lambda: photographs(arc(2, 10)), "2 photographs overlap, and at least 3"),
         (lambda: photographs(arc(1, 10)), "one photograph shows no depth"),
     ],

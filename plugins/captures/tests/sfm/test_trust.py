@@ -89,14 +89,6 @@ def held_by_few(model):
     return replace(model, seen=seen)
 
 
-def far_away(model):
-    return replace(model, points=model.points * 0.1 + [0, 0, 400.0])
-
-
-def few_points(model):
-    return replace(model, points=model.points[:80], seen=model.seen[:80])
-
-
 @pytest.mark.parametrize(
     ("change", "confirmed", "trust", "reason", "missing"),
     [
@@ -109,8 +101,8 @@ def few_points(model):
             "too little is shared with the others: view5",
             [5],
         ),
-        (far_away, moved, "doubtful", "depth is uncertain", []),
-        (few_points, moved, "doubtful", "points hold these cameras", []),
+        (lambda m: replace(m, points=m.points * 0.1 + [0, 0, 400.0]), moved, "doubtful", "depth is uncertain", []),
+        (lambda m: replace(m, points=m.points[:80], seen=m.seen[:80]), moved, "doubtful", "points hold these", []),
     ],
 )
 def test_what_speaks_against_cameras_is_told(graph, right, rng, change, confirmed, trust, reason, missing):
