@@ -170,16 +170,13 @@ def test_a_style_image_is_looked_at_where_it_is_one():
     ColorMatch().update(replace(images, style=replace(images.style, has_image=torch.tensor([True, False]))))
 
 
-def counted(seen, name, look):
-    return lambda images: seen.update([name] * len(images)) or look(images)
-
-
 def test_an_image_is_looked_at_once(monkeypatch):
     feature_cache.CACHE.clear()
     metric = ArtFID(weights="stand_in")
     seen = Counter()
-    for network, method in ((metric.inception, "forward"), (metric.network, "describe")):
-        monkeypatch.setattr(network, method, counted(seen, method, getattr(network, method)))
+    for network, name in ((metric.inception, "forward"), (metric.network, "describe")):
+        look = getattr(network, name)
+        monkeypatch.setattr(network, name, lambda x, name=name, look=look: seen.update([name] * len(x)) or look(x))
     given = pictures(styles=4, frames=3)
     for _ in range(2):
         metric.update(given)

@@ -110,12 +110,9 @@ def test_the_call_and_a_report_make_what_the_command_made(photographs, tmp_path,
 
 def test_one_encoding_serves_all_styles_and_results_come_when_they_are_asked_for(photographs, stylizer, monkeypatch):
     calls = []
-
-    def recorded(name, function):
-        return lambda *given, **named: calls.append(name) or function(*given, **named)
-
     for name in ("encode", "restyle"):
-        monkeypatch.setattr(stylizer, name, recorded(name, getattr(stylizer, name)))
+        call = getattr(stylizer, name)
+        monkeypatch.setattr(stylizer, name, lambda *x, name=name, call=call, **y: calls.append(name) or call(*x, **y))
     results = anystyle.stylize(photographs, ["blue", "red", "green"], model=stylizer, views=VIEWS)
     assert len(results) == 3 and calls == ["encode"]
     assert results[-1].style.name == "green" and calls == ["encode", "restyle"]

@@ -27,14 +27,12 @@ def from_axes(up, gaussians: Gaussians) -> Gaussians:
 
 def read_ply(path: Path) -> Gaussians:
     """With gsply."""
-    gsply = pytest.importorskip("gsply")  # has no wheel for Python 3.14
-    return _of_gsply(gsply.plyread(str(path)))
+    return _of_gsply(pytest.importorskip("gsply").plyread(str(path)))  # which has no wheel for Python 3.14
 
 
 def read_spz_file(path: Path) -> Gaussians:
     """With gsply, in the file's axes."""
-    spz = pytest.importorskip("gsply.spz")
-    return _of_gsply(spz.read_spz(path))
+    return _of_gsply(pytest.importorskip("gsply.spz").read_spz(path))
 
 
 def _of_gsply(data) -> Gaussians:

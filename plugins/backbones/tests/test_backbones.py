@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 import torch
 
+from anystyle.branch import ATTRIBUTES
 from anystyle.contracts import Backbone
 from anystyle.pipeline.load import modules_in_bf16
 from anystyle.testing.oracle import hashed
-from anystyle.types import Scene
 from tests.support.backbone_cases import network, same, views
 
 ALL = ["anysplat", "depth_anything", "styl3r", "stylos"]
@@ -39,13 +39,9 @@ def test_views_may_be_given_in_any_order(name: str) -> None:
     scene, other = backbone.encode(given), backbone.encode(given.select(order))
     if scene.stem.reference is not None and other.stem.reference is not None:
         assert order[int(other.stem.reference)] == int(scene.stem.reference)
-    for one, moved in ((scene.geometry.points(), other.geometry.points()), *attributes_of(scene, other)):
+    named = ([getattr(each.attributes, name) for each in (scene, other)] for name in ATTRIBUTES)
+    for one, moved in ((scene.geometry.points(), other.geometry.points()), *named):
         same(one[:, order], moved, rtol=1e-3, atol=1e-4)
-
-
-def attributes_of(*scenes: Scene) -> list[tuple[torch.Tensor, ...]]:
-    names = ("opacity", "scale", "rotation", "color")
-    return [tuple(getattr(scene.attributes, name) for scene in scenes) for name in names]
 
 
 @pytest.mark.parametrize("name", FROM_SCRATCH)

@@ -46,6 +46,7 @@ class Html(Format):
             entry["title"] = title
             if title in scene.pictures:
                 entry["picture"] = _small(scene.pictures[title])
+        manifest = json.dumps(_manifest(scene) | packing | {"styles": entries, "first": len(entries) - 1})
         template, style, script = (
             (files("anystyle_formats") / "page" / f"page.{kind}").read_text(encoding="utf-8")
             for kind in ("html", "css", "js")
@@ -53,7 +54,7 @@ class Html(Format):
         page = Template(template).substitute(
             title=html.escape(scene.title or "A scene by anystyle"),
             style=style,
-            manifest=_script(_manifest(scene) | packing | {"styles": entries, "first": len(entries) - 1}),
+            manifest=manifest.replace("<", "\\u003c"),  # no text in it ends the script
             data=base64.b64encode(gzip.compress(blob, mtime=0)).decode(),
             script=script,
         )
@@ -73,11 +74,6 @@ def _manifest(scene: StyledScene) -> dict[str, object]:
         "cameras": _cameras(cameras),
         "fade": _fade(scene) if scene.names and scene.photographed else None,
     }
-
-
-def _script(value: object) -> str:
-    """JSON within a script element, which no text ends."""
-    return json.dumps(value).replace("<", "\\u003c")
 
 
 def _cameras(cameras: Cameras) -> list[dict[str, object]]:

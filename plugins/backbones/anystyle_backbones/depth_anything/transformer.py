@@ -32,14 +32,9 @@ def patch_tokens(
     grid = grid_of(images, proj.kernel_size[0])
     patches = proj(normalised(images.to(proj.weight.dtype)).flatten(0, 1)).flatten(2).mT
     cls = cls_token.to(patches.dtype).expand(batch * views, -1, -1)
-    tokens = torch.cat([cls, patches], dim=1) + grid_embedding(pos_embed, grid).to(patches.dtype)
+    scale = [(length + OFFSET) / isqrt(pos_embed.shape[1] - 1) for length in grid]
+    tokens = torch.cat([cls, patches], dim=1) + positions(pos_embed, grid, scale_factor=scale).to(patches.dtype)
     return Tokens(tokens.unflatten(0, (batch, views)), grid=grid, special=1)
-
-
-def grid_embedding(stored: Float[Tensor, "1 L C"], grid: tuple[int, int]) -> Float[Tensor, "1 M C"]:
-    """Position embeddings of the class token and of a grid."""
-    side = isqrt(stored.shape[1] - 1)
-    return positions(stored, grid, scale_factor=[(length + OFFSET) / side for length in grid])
 
 
 def by_view(function: Callable[[Tensor], Tensor], data: Float[Tensor, "B V P C"]) -> Float[Tensor, "B V P C"]:

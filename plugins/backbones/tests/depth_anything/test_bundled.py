@@ -6,7 +6,7 @@ import torch
 from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
-from anystyle.types import Gaussians, Geometry, Scene, Views
+from anystyle.types import Geometry, Views
 from anystyle.vision import weights
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.training.reconstruction import geometry_errors, psnr
@@ -43,7 +43,8 @@ def test_unseen_scenes_come_out_nearer_than_the_mean(tiny: Stylizer, heldout: li
         assert views.cameras is not None
         with torch.no_grad():
             scene = tiny.encode(Views(views.images))
-            renders = tiny.render(scene_gaussians(tiny, scene), scene.geometry.cameras)
+            gaussians = tiny.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
+            renders = tiny.render(gaussians, scene.geometry.cameras)
         found.append(scores(geometry_errors(scene.geometry, views), renders.color, views.images))
         still = views.cameras.select([0, 0, 0, 0])
         plane = Geometry(still, torch.ones_like(scene.geometry.depth), torch.ones_like(scene.geometry.depth))
@@ -54,10 +55,6 @@ def test_unseen_scenes_come_out_nearer_than_the_mean(tiny: Stylizer, heldout: li
     assert depth < 0.7 * plain_depth
     assert turn < 0.85 * plain_turn
     assert color > plain_color + 1.5
-
-
-def scene_gaussians(stylizer: Stylizer, scene: Scene) -> Gaussians:
-    return stylizer.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
 
 
 def scores(errors: dict[str, torch.Tensor], drawn: torch.Tensor, seen: torch.Tensor) -> list[float]:

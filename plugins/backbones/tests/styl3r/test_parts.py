@@ -75,16 +75,11 @@ def test_adapter() -> None:
     assert bool((gaussians.scales == 0.3).any()) and bool((gaussians.scales < 0.3).any())
 
 
-def as_file(images: Tensor) -> Tensor:
-    """Images with the values of files of 8 bits, truncated as published."""
-    return (images * 255).floor() / 255
-
-
 @pytest.mark.parametrize(
     ("name", "index", "shape"), [("style_wide", 326, (3, 300, 403)), ("style_tall", 328, (3, 389, 200))]
 )
 def test_style_pictures_are_cut_as_published(name: str, index: int, shape: tuple[int, ...]) -> None:
-    pictures = as_file(smooth_image(index, shape))[None]
+    pictures = (smooth_image(index, shape) * 255).floor()[None] / 255  # of 8 bits, truncated as published
     oracle.check(middle_squares(pictures, 256)[0], GOLDEN["preprocessing"][name], "preprocessing")
     learnt = middle_squares(pictures.clone().requires_grad_(), 256)
     assert learnt.requires_grad and float((learnt.detach() - middle_squares(pictures, 256)).abs().mean()) < 0.02

@@ -117,22 +117,24 @@ def _models(folder: Path) -> list[Path]:
 
 def read(folder: Path) -> Model:
     """Read the cameras and images of a model, which may be damaged; binary files are preferred, as COLMAP does."""
-    suffix = _suffix(folder)
-    if suffix is None:
-        raise UserError(f"there is no COLMAP model in {folder}")
+    suffix = _suffix(folder) or "txt"
     readers = (_binary_cameras, _binary_images) if suffix == "bin" else (_text_cameras, _text_images)
-    path = folder / f"cameras.{suffix}"
-    try:
-        cameras = {number: _camera(*fields) for number, *fields in readers[0](read_bytes(path, most=MAX_BYTES))}
-        path = folder / f"images.{suffix}"
-        photographs = {number: _photograph(*fields) for number, *fields in readers[1](read_bytes(path, most=MAX_BYTES))}
-    except _UnknownModel as error:
-        raise UserError(f"{path} has cameras of the model {error}, which is not known; {UNDISTORT}") from None
-    except (struct.error, ValueError, KeyError, IndexError) as error:
-        raise UserError(f"{path} is damaged or not a file of COLMAP's ({str(error).splitlines()[0]})") from None
+    tables: list[Any] = []
+    for name, rows_of, make in zip(("cameras", "images"), readers, (_camera, _photograph), strict=True):
+        path = folder / f"{name}.{suffix}"
+        try:
+            rows = [(number, make(*fields)) for number, *fields in rows_of(read_bytes(path, most=MAX_BYTES))]
+            if len(rows) > len(dict(rows)):
+                raise ValueError("two records have the same number")
+        except _UnknownModel as error:
+            raise UserError(f"{path} has cameras of the model {error}, which is not known; {UNDISTORT}") from None
+        except (struct.error, ValueError, KeyError, IndexError) as error:
+            raise UserError(f"{path} is damaged or not a file of COLMAP's ({str(error).splitlines()[0]})") from None
+        tables.append(dict(rows))
+    cameras, photographs = tables
     for photograph in photographs.values():
         if photograph.camera not in cameras:
-            raise UserError(f"{path} has {photograph.name} with camera {photograph.camera}, which is not there")
+            raise UserError(f"{folder} has {photograph.name} with camera {photograph.camera}, which is not there")
     return Model(cameras, photographs)
 
 
@@ -226,9 +228,9 @@ def _text_images(data: bytes) -> Iterator[tuple[Any, ...]]:
 
 
 def _is_record(line: Sequence[str]) -> bool:
-    """Whether a line is of an image: it ends in a name, where points are numbers in threes."""
-    *_, last = line[0].split(maxsplit=9) if line and line[0] else ("0",)
+    """Whether a line is of an image, which ends in a name after nine numbers; points are numbers in threes."""
+    words = line[0].split() if line else []
     try:
-        return not [float(word) for word in last.split()]
+        return len([float(word) for word in words]) % 3 > 0
     except ValueError:
         return True

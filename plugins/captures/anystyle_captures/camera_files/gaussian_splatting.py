@@ -45,7 +45,7 @@ class GaussianSplatting(CameraReader):
 
     def find(self, path: Path) -> Path | None:
         file = path / "cameras.json" if path.is_dir() else path
-        return file if file.suffix == ".json" and file.is_file() and _is_list(file) else None
+        return file if file.suffix == ".json" and file.is_file() and file.read_bytes().lstrip()[:1] == b"[" else None
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
         listed: list[_Camera] = read_json(path, list[_Camera], what="file of cameras of 3DGS")
@@ -58,8 +58,3 @@ class GaussianSplatting(CameraReader):
                 raise UserError(f"{path}: {error} ({one.img_name[:80]})") from None
             cameras.append((one.img_name, camera(pose, lens)))
         return finished(by_name(cameras, path), images)
-
-
-def _is_list(file: Path) -> bool:
-    with file.open("rb") as stream:
-        return stream.read(4096).lstrip().startswith(b"[")

@@ -35,6 +35,7 @@ class _Frame(msgspec.Struct):
     cx: float | None = None
     cy: float | None = None
     camera_angle_x: Annotated[float, msgspec.Meta(gt=0, lt=math.pi)] | None = None
+    camera_angle_y: Annotated[float, msgspec.Meta(gt=0, lt=math.pi)] | None = None
     k1: float | None = None
     k2: float | None = None
     k3: float | None = None
@@ -42,7 +43,7 @@ class _Frame(msgspec.Struct):
     p1: float | None = None
     p2: float | None = None
     camera_model: str | None = None
-    is_fisheye: bool = False
+    is_fisheye: bool | None = None
     file_path: str = ""
     transform_matrix: list[list[float]] = []
 
@@ -53,28 +54,35 @@ class _Frame(msgspec.Struct):
         """
         own = {name: value for name, value in msgspec.structs.asdict(self).items() if value is not None}
         values = msgspec.structs.asdict(shared) | own
-        fx, fy, cx, cy, angle = (values[name] for name in ("fl_x", "fl_y", "cx", "cy", "camera_angle_x"))
         if values["w"] is None or values["h"] is None:
             raise UserError("there is no w and h, the size of the images")
         width, height = int(values["w"]), int(values["h"])
-        if fx is None and angle is None:
+        focal = self.focal(width, height) or shared.focal(width, height)
+        if focal is None:
             raise UserError("there is no focal length: neither fl_x nor camera_angle_x")
-        fx = 0.5 * width / math.tan(0.5 * angle) if fx is None else fx
-        fy = fx if fy is None else fy
         model = values["camera_model"] or "OPENCV"
         if model == "EQUIRECTANGULAR":
             raise UserError("the images are panoramas (EQUIRECTANGULAR); poses=sfm cuts them")
         if model not in _MODELS:
             raise UserError(f"camera_model {model[:40]} is not one of {', '.join(_MODELS)}; undistort the images first")
         k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
-        fisheye = model == "OPENCV_FISHEYE" or shared.is_fisheye
+        fisheye = model == "OPENCV_FISHEYE" or values["is_fisheye"] is True
+        cx, cy = values["cx"], values["cy"]
         center = width / 2 if cx is None else cx, height / 2 if cy is None else cy
         tangential = (0.0, 0.0) if fisheye else (p1, p2)
-        lens = Lens((height, width), (fx, fy), center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
+        lens = Lens((height, width), focal, center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
         rows = self.transform_matrix
         if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
             raise UserError(f"transform_matrix of {self.file_path[:80]!r} is not a 4x4 matrix")
         return camera(rigid(np.array(rows, np.float64)[:3] @ OPENCV_FROM_OPENGL, length=self.length()), lens)
+
+    def focal(self, width: int, height: int) -> tuple[float, float] | None:
+        """In pixels, of the lengths or else of the angles of view; one of them alone holds for both axes."""
+        given = (self.fl_x, self.camera_angle_x, width), (self.fl_y, self.camera_angle_y, height)
+        found = [
+            length or 0.5 * side / math.tan(0.5 * (angle or 0)) for length, angle, side in given if length or angle
+        ]
+        return (found[0], found[-1]) if found else None
 
     def length(self) -> float:
         """The length of the axes of the camera; 1 if there is none."""

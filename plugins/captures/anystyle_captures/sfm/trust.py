@@ -36,8 +36,9 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
     """
     rotation_share = share_of_rotation(graph.pairs, graph.sizes) if graph.pairs else 0.0
     failed = Verdict("failed", (_why_failed(graph, rotation_share),), {"registered": 0.0, "turned": rotation_share})
-    best = [model for models in candidates if (model := _best_supported(models)) is not None]
-    best.sort(key=_rank, reverse=True)
+    supported = ([each.restricted(supported_views(each.seen, MIN_SUPPORT)) for each in models] for models in candidates)
+    enough = ([model for model in models if model.registered.sum() >= MIN_VIEWS] for models in supported)
+    best = sorted((max(models, key=_rank) for models in enough if models), key=_rank, reverse=True)
     if not best:
         return SparseModel.empty(len(graph.names)), failed
     doubts, views, measures = _compare(graph, best)
@@ -57,11 +58,6 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
     measures |= {"searched_pixels": float(max(map(max, graph.sizes)))}
     reasons = (*doubts, *_left_out(graph, best[0]))
     return model, Verdict("doubtful" if doubts else "good", reasons, measures)
-
-
-def _best_supported(models: Sequence[SparseModel]) -> SparseModel | None:
-    supported = [model.restricted(supported_views(model.seen, MIN_SUPPORT)) for model in models]
-    return max((model for model in supported if model.registered.sum() >= MIN_VIEWS), key=_rank, default=None)
 
 
 def _rank(model: SparseModel) -> tuple[int, int]:

@@ -33,7 +33,7 @@ def test_text_with_points_comments_and_blanks_in_names(tmp_path):
 @pytest.mark.parametrize("points", ["", "\n", "1 2 -1\n", "1 2 -1 3 4 5 5 6 -1 7 8 9\n"])
 def test_images_of_one_line_or_two(tmp_path, points):
     (tmp_path / "cameras.txt").write_text("2 SIMPLE_RADIAL 640 480 500 320 240 0.01\n")
-    names = ("0001.png", "2.png", "a b 3.png")
+    names = ("0001.png", "2.png", "a b 3.png", "0004", "5")
     lines = (f"{index} 1 0 0 0 0.5 0 0 2 {name}\n{points}" for index, name in enumerate(names))
     (tmp_path / "images.txt").write_text("".join(lines))
     assert tuple(one.name for one in colmap_files.read(tmp_path).photographs.values()) == names
@@ -46,6 +46,9 @@ def test_damaged_files_are_refused(tmp_path):
         (tmp_path / "images.bin").write_bytes(whole[:cut])
         with pytest.raises(ValueError, match="is damaged or not a file of COLMAP's"):
             colmap_files.read(tmp_path)
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 3) + whole[8:] + whole[-len(whole[8:]) // 2 :])
+    with pytest.raises(ValueError, match="two records have the same number"):
+        colmap_files.read(tmp_path)
     (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 2**60) + whole[8:])
     with pytest.raises(ValueError, match="more than the file holds"):
         colmap_files.read(tmp_path)

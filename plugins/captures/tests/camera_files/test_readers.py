@@ -146,12 +146,21 @@ def test_models_are_found_where_programs_put_them(tmp_path, place):
     assert len(read_poses(tmp_path, images)) == len(images)
 
 
-def test_a_byte_order_mark_is_no_damage(tmp_path):
-    images = samples.write_photographs(tmp_path, SIZE)
-    transforms(tmp_path, images, LENS)
-    file = tmp_path / "transforms.json"
-    file.write_text(file.read_text(), encoding="utf-8-sig")
-    assert len(read_poses(tmp_path, images)) == len(images)
+@pytest.mark.parametrize(
+    ("shared", "own", "height", "angle"),
+    [
+        ({"camera_angle_x": 1.0, "camera_angle_y": 0.7}, {}, 24, (1.0, 0.7)),
+        ({"fl_x": 50.0, "fl_y": 40.0}, {"camera_angle_x": 1.2, "camera_angle_y": 0.9}, 24, (1.2, 0.9)),
+        ({"fl_x": 50.0, "is_fisheye": False}, {"camera_angle_x": 1.2, "k1": 0.1, "is_fisheye": True}, 32, (1.2, 1.2)),
+    ],
+)
+def test_a_frames_own_lens_counts_before_the_shared_one(tmp_path, shared, own, height, angle):
+    frames = [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist(), **own}]
+    # A byte order mark is no damage.
+    (tmp_path / "transforms.json").write_text(json.dumps({"w": 64, "h": 48, **shared, "frames": frames}), "utf-8-sig")
+    (camera,) = stored_cameras(tmp_path).values()
+    np.testing.assert_allclose(np.diag(camera.intrinsics)[:2], [32, height] / np.tan(np.divide(angle, 2)))
+    assert ("k1" in own) == (camera.undistortion is not None and camera.undistortion.apply.args[0].fisheye)
 
 
 def test_blenders_splits_are_one_capture_of_the_size_of_its_images(tmp_path):
