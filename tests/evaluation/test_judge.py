@@ -11,12 +11,8 @@ from anystyle.evaluation.judge import judge, judge_pairing, judge_scene, mean
 from anystyle.evaluation.pairing import Pairing, pair
 from anystyle.testing.inputs import comparison
 from anystyle.testing.toy.metric import ToyMetric
-from anystyle.types import Comparison
+from anystyle.types import Comparison, no_progress
 from tests.support.evaluation_cases import Mean, folders
-
-
-def silent(progress):
-    pass
 
 
 def test_rows_scenes_and_all_are_what_a_metric_says_of_them(tmp_path):
@@ -37,7 +33,7 @@ def test_rows_scenes_and_all_are_what_a_metric_says_of_them(tmp_path):
     scenes = [found.groups[f"scene {name}"]["change"] for name in ("one", "two")]
     assert found.scores == {"change": pytest.approx(sum(scenes) / 2)}
     assert found.n == 12 and found.better == {"change": "lower"}
-    mixed = judge_pairing({"toy": ToyMetric()}, Pairing((*cells[::2], *cells[1::2])), silent)
+    mixed = judge_pairing({"toy": ToyMetric()}, Pairing((*cells[::2], *cells[1::2])), no_progress)
     assert {name: dict(scores) for name, scores in mixed.groups.items()} == found.groups
 
 
@@ -131,4 +127,4 @@ def test_a_scene_without_a_score_is_told():
 
 def test_no_metric_is_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"no metric is chosen; add metric=\[NAME"):
-        judge_pairing({}, pair(*folders(tmp_path / "images")), silent)
+        judge_pairing({}, pair(*folders(tmp_path / "images")), no_progress)

@@ -23,6 +23,7 @@ from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.pairing import CAMERAS, pair
 from anystyle.io.atomic import atomic_path
 from anystyle.methods.branch import Branch
+from anystyle.paths import distinct
 from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress, Progress, Scene, Style, Views
@@ -69,10 +70,10 @@ class ModelRenders(Protocol):
         self.variant: Variant = variant
         known = _indices(self.scenes, scene_names)
         # Scenes and styles: index by file name.
-        self.planned_scenes = {name.replace("/", "-"): known[name] for name in list(scene_names or known)[:num_scenes]}
+        chosen = {name: known[name] for name in list(scene_names or known)[:num_scenes]}
+        self.planned_scenes = dict(zip(distinct([n.replace("/", "-") for n in chosen]), chosen.values(), strict=True))
         count = min(len(self.styles), num_styles or len(self.styles))
-        width = max(2, len(str(count - 1)))
-        self.planned_styles = {f"{index:0{width}d}": index for index in range(count)}
+        self.planned_styles = {f"{index:0{max(2, len(str(count - 1)))}d}": index for index in range(count)}
 
     @classmethod
     def check(cls, **given: Any) -> None:

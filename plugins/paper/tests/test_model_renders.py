@@ -11,14 +11,10 @@ from anystyle.contracts import StyleSource
 from anystyle.testing.inputs import images
 from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.scenes import ToyScenes
-from anystyle.types import Style
+from anystyle.types import Style, no_progress
 from anystyle_paper.model_renders import ModelRenders as Paper
 from anystyle_paper.model_renders import middle_square
 from tests.support.evaluation_cases import Mean
-
-
-def silent(progress):
-    pass
 
 
 @pytest.fixture
@@ -32,7 +28,7 @@ def stems(folder):
 
 
 def test_what_is_written_and_judged(parts, tmp_path):
-    found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
+    found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, no_progress)
     kept = tmp_path / "images"
     assert stems(kept / "stylized") == ["wall_0000", "wall_0001"]
     assert stems(kept / "stylized" / "wall_0001") == [
@@ -50,9 +46,14 @@ def test_what_is_written_and_judged(parts, tmp_path):
     assert found.rows[0].pictures["result"] == kept / "stylized" / "wall_0000" / "00_001.jpg"
 
 
+def test_scenes_whose_names_differ_in_a_slash_stay_apart(parts):
+    with patch.object(ToyScenes, "name", lambda self, scene: ("a/b", "a-b")[scene]):
+        assert Paper(**parts).planned_scenes == {"a-b": 0, "a-b_2": 1}
+
+
 def test_the_reference_truncates_into_jpeg_and_the_corrected_rounds_into_png(parts, tmp_path):
     for variant in ("reference", "corrected"):
-        Paper(**parts, num_styles=1, num_scenes=1, frames=1, variant=variant).run(tmp_path / variant, silent)
+        Paper(**parts, num_styles=1, num_scenes=1, frames=1, variant=variant).run(tmp_path / variant, no_progress)
     photograph = middle_square(parts["scenes"].read(0, [0])).images[0, 0]
     exact = np.asarray(Image.open(tmp_path / "corrected" / "images" / "content" / "wall_0000" / "000.png"))
     assert (exact == (photograph * 255).round().byte().permute(1, 2, 0).numpy()).all()
@@ -71,7 +72,7 @@ def test_nothing_is_rendered_twice(parts, tmp_path):
         patch.object(parts["stylizer"], "restyle", wraps=parts["stylizer"].restyle) as restyle,
         patch.object(parts["stylizer"], "encode", wraps=parts["stylizer"].encode) as encode,
     ):
-        first, again = (Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent) for _ in range(2))
+        first, again = (Paper(**parts, num_styles=3, frames=2).run(tmp_path, no_progress) for _ in range(2))
     assert (restyle.call_count, encode.call_count) == (6, 2)
     assert again == first
 
@@ -87,9 +88,9 @@ def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path):
             Paper(**parts, num_styles=3, frames=2).run(tmp_path, stop)
         assert restyle.call_count == 4
         (tmp_path / "images" / "stylized" / "wall_0000" / ".02").unlink()  # stopped between images and their mark
-        found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
+        found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, no_progress)
     assert restyle.call_count == 4 + 3
-    fresh = Paper(**parts, num_styles=3, frames=2).run(tmp_path / "fresh", silent)
+    fresh = Paper(**parts, num_styles=3, frames=2).run(tmp_path / "fresh", no_progress)
     assert found.scores == fresh.scores and [row.scores for row in found.rows] == [row.scores for row in fresh.rows]
 
 
@@ -106,10 +107,10 @@ def test_styles_that_lack_what_is_needed(parts, tmp_path):
 
     imageless = Paper(**parts | {"styles": Bare(Style(text=("words",)))}, num_scenes=1, frames=1)
     with pytest.raises(ValueError, match="style 0 has no image, which the scores compare with"):
-        imageless.run(tmp_path / "a", silent)
+        imageless.run(tmp_path / "a", no_progress)
     wordless = Bare(Style(image=images(1, (8, 8)), text=(" ",)))
     with pytest.raises(ValueError, match="style 0 has no text; give captions"):
-        Paper(**parts | {"styles": wordless}, guide="text", num_scenes=1, frames=1).run(tmp_path / "b", silent)
+        Paper(**parts | {"styles": wordless}, guide="text", num_scenes=1, frames=1).run(tmp_path / "b", no_progress)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +129,7 @@ def test_what_cannot_be_judged(parts, changed, told):
 def test_sides_that_the_model_cannot_take(parts, tmp_path):
     odd = parts | {"scenes": ToyScenes(num_scenes=1, views=2, size=(30, 30))}
     with pytest.raises(ValueError, match=r"wall_0000 are 30x30 pixels; this model needs .* multiples of 8"):
-        Paper(**odd).run(tmp_path, silent)
+        Paper(**odd).run(tmp_path, no_progress)
 
 
 def test_a_model_that_gives_no_numbers_is_found_out(parts, tmp_path, monkeypatch):
@@ -137,5 +138,5 @@ def test_a_model_that_gives_no_numbers_is_found_out(parts, tmp_path, monkeypatch
         parts["stylizer"], "restyle", lambda *given: original(*given).map(lambda each: each * torch.nan)
     )
     with pytest.raises(ValueError, match="render of wall_0000 in style 00 holds NaN"):
-        Paper(**parts, num_styles=1, num_scenes=1, frames=1).run(tmp_path, silent)
+        Paper(**parts, num_styles=1, num_scenes=1, frames=1).run(tmp_path, no_progress)
     assert not (tmp_path / "images" / "stylized").exists()

@@ -12,6 +12,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
+from anystyle.types import no_progress
 from anystyle_paper import published_scores, run_table
 from anystyle_paper.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle_paper.runs import find
@@ -21,10 +22,6 @@ from tests.support.evaluation_cases import Mean, picture
 TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for style in range(NUM_STYLES))
 
 OPTIONS = {"scene_names": ["Train", "Garden"], "num_styles": 2, "frames": 3, "size": 16}
-
-
-def silent(progress):
-    pass
 
 
 @pytest.fixture
@@ -52,13 +49,13 @@ def tables(folder, **options):
 
 def test_a_model_that_reads_no_texts_has_one_row(root, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(ToyStyleEncoder, "reads_texts", False)
-    found = tables(root, methods=[], photographs=0).run(tmp_path / "out", silent)
+    found = tables(root, methods=[], photographs=0).run(tmp_path / "out", no_progress)
     assert found.provenance["methods"] == ["model_image"]
     assert caplog.messages[0] == "this model reads no texts: the row model_text is left out"
 
 
 def test_every_method_is_a_row_beside_the_model_and_the_photographs(root, tmp_path):
-    found = tables(root).run(tmp_path / "out", silent)
+    found = tables(root).run(tmp_path / "out", no_progress)
     assert found.provenance["methods"] == ["model_image", "model_text", "Styl3R", "Stylos", "photographs"]
     assert list(found.groups) == found.provenance["methods"][1:]
     assert found.groups["Stylos"]["mean"] == pytest.approx(200 / 255, abs=1e-6)
@@ -81,7 +78,7 @@ def test_images_that_a_method_lacks_are_named_and_others_keep_their_photographs(
     (folder / f"00_{name.format(1)}.png").unlink()
     with pytest.raises(UserError, match="methods/Styl3R: 1 scenes lack images: Train in 00 lacks 1 of 3"):
         Tables.check(**OPTIONS, root=str(root), guides=[], methods=None, missing="refuse")
-    found = tables(root, guides=[], missing="allow").run(tmp_path / "out", silent)
+    found = tables(root, guides=[], missing="allow").run(tmp_path / "out", no_progress)
     stored = record.read(tmp_path / "out" / "methods" / "Styl3R")
     assert (stored.n, stored.size, stored.missing("Train"), stored.missing("Garden")) == (11, "11 of 12", 1, 0)
     assert stored.scenes["Train"]["mean"] == pytest.approx((100 + 102 + 100 + 101 + 102) / 5 / 255, abs=1e-6)
@@ -123,7 +120,7 @@ def test_the_published_descriptions_are_the_texts(root, tmp_path):
     with pytest.raises(ValueError, match="no text for 2 styles"):
         tables(root)
     (root / "style_descriptions.txt").write_text("00.png;thick blue; swirling strokes\n01.png; flat ochre\n")
-    found = tables(root, methods=[], photographs=0).run(tmp_path / "out", silent)
+    found = tables(root, methods=[], photographs=0).run(tmp_path / "out", no_progress)
     assert found.provenance["methods"] == ["model_image", "model_text"]
     styles = FolderStyles(root=str(root / "style_images"), size=16)
     assert [styles.read(place).text for place in range(2)] == [("thick blue; swirling strokes",), ("flat ochre",)]
