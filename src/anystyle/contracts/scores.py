@@ -127,8 +127,12 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     @final
     def scores(self) -> dict[str, Tensor]:
         """What :meth:`compute` returns, by name, for a metric with one score as well."""
-        value = self.compute()
-        return value if isinstance(value, dict) else dict.fromkeys(self.better, value)
+        return value if isinstance(value := self.compute(), dict) else dict.fromkeys(self.better, value)
+
+    def merge_state(self, incoming_state: dict[str, Any] | torchmetrics.Metric) -> None:
+        """Take in what another metric of this class, or its ``metric_state``, has taken in."""
+        super().merge_state(incoming_state)
+        self._computed = None  # which torchmetrics 1.9 keeps, so that an earlier score would be returned again
 
     def of_each_row(self) -> dict[str, Float[Tensor, " N"]]:
         """Scores that each row taken in, in order, has only beside the others of its scene."""

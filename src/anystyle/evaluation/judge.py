@@ -117,7 +117,6 @@ def judge_scene(
     for index, comparison in enumerate(comparisons):
         style = comparison.styles[0] if comparison.styles else f"{index:02d}"
         for name, metric in [*metrics.items()]:
-            metric.compute_with_cache = False  # a style's score must not be returned for the scene
             metric.reset()
             try:
                 with _recorded_warnings(warned[name], name):

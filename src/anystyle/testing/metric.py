@@ -58,8 +58,8 @@ def test_copies_and_processes_can_be_merged(plugin: Subject[Metric]) -> None:
     for make in (copy.deepcopy, lambda given: pickle.loads(pickle.dumps(given))):
         copied: Metric = make(metric)
         asserts.close(_computed(copied, rows[2:]), _scores(plugin), "the scores of a copy that took in the rest")
-    other.merge_state(metric)
-    asserts.close(_computed(other, []), _scores(plugin), "the scores of two merged metrics; see `add_state`")
+    metric.merge_state(other)
+    asserts.close(_computed(metric, []), _scores(plugin), "the scores of two merged metrics; see `add_state`")
 
 
 def test_inputs_are_left_alone(plugin: Subject[Metric]) -> None:
