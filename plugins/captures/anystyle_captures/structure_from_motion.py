@@ -19,9 +19,10 @@ from anystyle.data.folder import as_views, common_size, cover, require_views, te
 from anystyle.geometry.transforms import Similarity
 from anystyle.types import Cameras, OnProgress, Original, no_progress
 from anystyle_captures.cache import cached, key_of
+from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.panorama import Cut, cut_of
 from anystyle_captures.sfm.colmap import search
-from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Photograph, SearchOptions, SimpleRadial, SparseModel
+from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Photograph, SearchOptions, SparseModel
 from anystyle_captures.sfm.trust import judge
 from anystyle_methods.order import canonical_order
 
@@ -113,11 +114,13 @@ class _Posed(NamedTuple):
 
 def _shot(original: Original, photograph: Photograph, model: SparseModel, view: int) -> _Posed:
     """A registered photograph without the distortion of its lens."""
-    lens, (height, width) = model.lens(view), original.size
-    straighten = partial(_undistorted, lens, photograph.size) if lens.is_distorted() else None
+    (focal, x, y, radial), (height, width) = model.lenses[view].tolist(), original.size
+    lens = Lens(photograph.size, (focal, focal), (x, y), (radial, 0.0, 0.0, 0.0))
+    straight = lens.undistortion()
+    straighten, matrix = (None, lens.matrix()) if straight is None else (straight.apply, straight.intrinsics)
     # The lens is in pixels of the photograph, which may be reduced in size.
     scales = np.array([width / photograph.size[1], height / photograph.size[0], 1.0])
-    intrinsics, pose = lens.pinhole().intrinsics * scales[:, None], model.world_from_camera[view]
+    intrinsics, pose = matrix * scales[:, None], model.world_from_camera[view]
     points = model.points[model.seen[:, view]]
     return _Posed(original.name, original.path, original.picture, straighten, (width, height), intrinsics, pose, points)
 
@@ -229,11 +232,6 @@ def best_search(
         where = best.registered, count, best.pixels
         logger.info("the cameras of %d of %d photographs are by SIFT at %d pixels", *where)
     return best
-
-
-def _undistorted(lens: SimpleRadial, size: tuple[int, int], picture: Image.Image) -> Image.Image:
-    """A picture drawn on a photograph of this height and width, such as a mask, without the lens's distortion."""
-    return Image.fromarray(lens.undistorted(np.array(picture.convert("RGB").resize((size[1], size[0])))))
 
 
 def _central_frame(shots: Sequence[_Posed]) -> Similarity:

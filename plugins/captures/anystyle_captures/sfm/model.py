@@ -7,8 +7,6 @@ from math import hypot
 from typing import NamedTuple
 
 import numpy as np
-import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float, Float64, UInt8
 from PIL import ExifTags, Image
 
@@ -17,8 +15,6 @@ from anystyle_captures.panorama import Cut
 Array = np.ndarray
 FULL_FRAME_DIAGONAL = hypot(36, 24)
 """The diagonal of a 35 mm film frame, in millimetres, which equivalent focal lengths refer to."""
-NEGLIGIBLE = 0.1
-"""Distortion at the corner, in pixels, that is not corrected."""
 
 
 @dataclass(frozen=True)
@@ -83,52 +79,6 @@ def _number(value: object) -> float:
 
 
 @dataclass(frozen=True)
-class SimpleRadial:
-    """COLMAP's ``SIMPLE_RADIAL``: (X, Y) at z = 1 is seen at ``focal (1 + radial (X² + Y²)) (X, Y) + (x, y)``."""
-
-    focal: float
-    x: float
-    y: float
-    radial: float
-
-    def is_distorted(self) -> bool:
-        """Whether any pixel is displaced noticeably."""
-        corner = hypot(self.x, self.y) / self.focal
-        return abs(self.radial) * corner**3 * self.focal > NEGLIGIBLE
-
-    def pinhole(self) -> "SimpleRadial":
-        """The lens without distortion of largest field of view whose image the photograph fills."""
-        if not self.is_distorted():
-            return SimpleRadial(self.focal, self.x, self.y, 0.0)
-        # The border pixel that limits the field of view: the nearest one of a barrel, the farthest of a pincushion.
-        distorted = (min(self.x, self.y) if self.radial < 0 else hypot(self.x, self.y)) / self.focal
-        radius = distorted
-        for _ in range(8):  # Newton's method
-            slope = max(1 + 3 * self.radial * radius**2, 0.1)
-            radius -= (radius * (1 + self.radial * radius**2) - distorted) / slope
-        return SimpleRadial(self.focal * distorted / radius, self.x, self.y, 0.0)
-
-    @property
-    def intrinsics(self) -> Float[Array, "3 3"]:
-        """The matrix, without distortion."""
-        return np.array([[self.focal, 0, self.x], [0, self.focal, self.y], [0, 0, 1.0]])
-
-    def undistorted(self, pixels: UInt8[Array, "H W 3"]) -> UInt8[Array, "H W 3"]:
-        """A photograph as :meth:`pinhole` would have taken it, bilinearly resampled."""
-        if not self.is_distorted():
-            return pixels
-        height, width = pixels.shape[:2]
-        center = np.array([self.x, self.y])
-        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        rays = (np.stack([x, y], axis=-1) - center) / self.pinhole().focal
-        seen = rays * (1 + self.radial * np.square(rays).sum(-1, keepdims=True)) * self.focal + center
-        grid = torch.from_numpy(2 * seen / np.array([width, height]) - 1).float()
-        image = torch.tensor(pixels).permute(2, 0, 1).float()
-        sampled = F.grid_sample(image[None], grid[None], align_corners=False, padding_mode="border")[0]
-        return sampled.round().byte().permute(1, 2, 0).numpy()
-
-
-@dataclass(frozen=True)
 class SparseModel:
     """Cameras and points in a frame and unit of their own; NaN for views that are not registered."""
 
@@ -148,9 +98,11 @@ class SparseModel:
         """Which views have a camera."""
         return np.asarray(np.isfinite(self.world_from_camera).all((1, 2)))
 
-    def lens(self, view: int) -> SimpleRadial:
-        """The lens of a registered view."""
-        return SimpleRadial(*self.lenses[view].tolist())
+    @property
+    def reaches_border(self) -> Bool[Array, " V"]:
+        """Whether the lens of a registered view sees up to the nearest border: of a barrel, pixels end at a radius."""
+        focal, x, y, radial = self.lenses.T
+        return -27 * radial * np.square(np.minimum(x, y) / focal) <= 4
 
     def reordered(self, order: Sequence[int]) -> "SparseModel":
         """The same model, where view ``i`` becomes view ``order[i]``."""

@@ -36,7 +36,10 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
     """
     rotation_share = share_of_rotation(graph.pairs, graph.sizes) if graph.pairs else 0.0
     failed = Verdict("failed", (_why_failed(graph, rotation_share),), {"registered": 0.0, "turned": rotation_share})
-    supported = ([each.restricted(supported_views(each.seen, MIN_SUPPORT)) for each in models] for models in candidates)
+    plausible = (
+        [each.restricted(np.flatnonzero(each.reaches_border).tolist()) for each in models] for models in candidates
+    )
+    supported = ([each.restricted(supported_views(each.seen, MIN_SUPPORT)) for each in models] for models in plausible)
     enough = ([model for model in models if model.registered.sum() >= MIN_VIEWS] for models in supported)
     best = sorted((max(models, key=_rank) for models in enough if models), key=_rank, reverse=True)
     if not best:

@@ -10,8 +10,9 @@ import pytest
 from PIL import ExifTags, Image
 
 from anystyle.examples import resolved
+from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.sfm.colmap import match
-from anystyle_captures.sfm.model import Photograph, SearchOptions, SimpleRadial
+from anystyle_captures.sfm.model import Photograph, SearchOptions
 from anystyle_captures.sfm.trust import agreement
 from anystyle_captures.structure_from_motion import find_cameras
 from tests.support.cards import World, arc, panorama
@@ -57,7 +58,7 @@ def test_cameras_are_found(orbit, solved):
     np.testing.assert_allclose(model.lenses[:, 1:3], np.tile([SIZE[1] / 2, SIZE[0] / 2], (6, 1)), atol=1e-6)
     for view, pose in enumerate(model.world_from_camera):
         local = (model.points[model.seen[:, view]] - pose[:3, 3]) @ pose[:3, :3]
-        pixel = (local @ model.lens(view).intrinsics.T)[:, :2] / local[:, 2:]
+        pixel = model.lenses[view, 0] * local[:, :2] / local[:, 2:] + model.lenses[view, 1:3]
         assert len(local) > 50 and (local[:, 2] > 0).all()
         assert (pixel > -3).all() and (pixel < np.array([SIZE[1], SIZE[0]]) + 3).all()
 
@@ -101,19 +102,20 @@ def test_no_feature_is_taken_of_what_is_masked(orbit, tmp_path):
 
 @pytest.mark.parametrize("radial", [-0.25, -0.05, 0.1])
 def test_undistorted_images_are_full_and_exact(radial):
-    lens = SimpleRadial(FOCAL, SIZE[1] / 2, SIZE[0] / 2, radial)
-    pinhole = lens.pinhole()
+    center = (SIZE[1] / 2, SIZE[0] / 2)
+    undistortion = Lens(SIZE, (FOCAL, FOCAL), center, (radial, 0.0, 0.0, 0.0)).undistortion()
+    focal = float(undistortion.intrinsics[0, 0])
     pose = arc(3, 30)[0]
-    undistorted = lens.undistorted(World(1).picture(pose, FOCAL, SIZE, radial))
-    exact = World(1).picture(pose, pinhole.focal, SIZE)
+    undistorted = np.asarray(undistortion.apply(Image.fromarray(World(1).picture(pose, FOCAL, SIZE, radial))))
+    exact = World(1).picture(pose, focal, SIZE)
     assert np.sqrt(np.square((undistorted.astype(float) - exact) / 255).mean()) < 0.05
-    assert (pinhole.focal < FOCAL) == (radial < 0)
+    assert (focal < FOCAL) == (radial < 0)
     # Pixels of the border come from inside of the photograph, and some from its border.
     border = np.array([[0.0, 0], [SIZE[1], 0], [SIZE[1] / 2, 0], [0, SIZE[0] / 2]])
-    rays = (border - [lens.x, lens.y]) / pinhole.focal
-    seen = rays * (1 + radial * np.square(rays).sum(1, keepdims=True)) * lens.focal + [lens.x, lens.y]
+    rays = (border - center) / focal
+    seen = rays * (1 + radial * np.square(rays).sum(1, keepdims=True)) * FOCAL + center
     assert (seen >= -1e-6).all() and (seen <= np.array([SIZE[1], SIZE[0]]) + 1e-6).all()
-    assert np.abs(seen - border).min(0).min() < 1e-6
+    assert np.abs(seen - border).min(0).min() < 0.02
 
 
 @pytest.mark.slow

@@ -94,6 +94,7 @@ def held_by_few(model):
     [
         (lambda model: model, moved, "good", None, []),
         (lambda model: model, None, "doubtful", "only one of two methods", []),
+        (lambda m: replace(m, lenses=m.lenses * [0.3, 1, 1, 0] - [0, 0, 0, 0.4]), moved, "failed", "", [*range(VIEWS)]),
         (
             held_by_few,
             lambda model, rng: moved(displaced(model, 5), rng),
