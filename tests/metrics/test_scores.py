@@ -152,6 +152,11 @@ def test_few_images_are_warned_of():
     metric.update(pictures())
     with pytest.warns(UserWarning, match="6 images are fewer than the 640 features"):
         metric.compute()
+    metric.style = [*metric.stylized]
+    metric.update(pictures())
+    metric.style[1:] = metric.stylized[1:]
+    with pytest.warns(UserWarning, match="12 images .*the line through it leads below 0"):
+        assert metric.compute()["art_fid"].isnan()
 
 
 @pytest.mark.parametrize("make", [PSNR, ToyMetric, lambda: ArtFID(weights="stand_in")])

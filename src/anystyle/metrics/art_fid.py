@@ -28,7 +28,7 @@ class ArtFID(NetworkMetric):
         variant: ``reference``: 8 bits, the shorter side 512 for both networks, and ``fid_infinity`` from samples of
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
-            these are fewer than features.
+            these are fewer than features, and ``nan`` where a line through so few leads below 0.
         weights: ``auto`` falls back to ST-LPIPS (``st_lpips``) or a stand-in, with a warning, where the published ones
             are missing.
 
@@ -89,14 +89,14 @@ class ArtFID(NetworkMetric):
                 "art_fid: there is one style image only, whose features have no spread; FID measures the mean alone",
                 stacklevel=2,
             )
-        if not self.rounded and num_images < dim:
-            warnings.warn(
-                f"art_fid: {num_images} images are fewer than the {dim} features; FID is biased upwards, see kid",
-                stacklevel=2,
-            )
         fid = frechet_distance(stylized, style)
         smallest = 5000 if self.rounded else max(2, num_images // 2)
         fid_infinity = fid if num_images <= smallest else frechet_infinity(stylized, style, smallest=smallest)
+        if not self.rounded and num_images < dim:
+            few = f"{num_images} images are fewer than the {dim} features; FID is biased upwards, see kid"
+            if fid_infinity < -1e-3:
+                fid_infinity, few = torch.full_like(fid, float("nan")), f"{few}, and the line through it leads below 0"
+            warnings.warn(f"art_fid: {few}", stacklevel=2)
         art_fid = (1 + distance) * (1 + fid_infinity)
         scores = {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float()}
         return scores | {self.network.name: distance}

@@ -66,25 +66,6 @@ def middle_square(images: Float[Tensor, "*batch H W"]) -> Float[Tensor, "*batch 
     return images[..., top : top + side, left : left + side]
 
 
-def middle_squares(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 S S"]:
-    """The middle of images in [0, 1] whose shorter side is brought to ``side``; those of this size stay as they are.
-
-    They are resized as published, by Pillow's Lanczos kernel on 8 bits; where the images carry a gradient, by a cubic
-    kernel with antialiasing, which has one.
-    """
-    height, width = images.shape[-2:]
-    if (height, width) == (side, side):
-        return images
-    longer = int(max(height, width) / min(height, width) * side)
-    shape = (side, longer) if height <= width else (longer, side)
-    if images.requires_grad and torch.is_grad_enabled():
-        scaled = F.interpolate(images, size=shape, mode="bicubic", antialias=True, align_corners=False)
-    else:
-        scaled = as_pillow(images, shape, Image.Resampling.LANCZOS)
-    top, left = (round((length - side) / 2) for length in shape)
-    return scaled[..., top : top + side, left : left + side]
-
-
 def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M 3 H W"]:
     """Luma (ITU-R BT.601) of sRGB in [0, 1] in all three channels; ``rounded`` to 8 bits as Pillow does."""
     if rounded:

@@ -4,12 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
+import torch
+import torch.nn.functional as F
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 from anystyle.ranges import AtLeastOne
 from anystyle.types import Tokens
-from anystyle.vision.preprocess import middle_squares
+from anystyle.vision.preprocess import as_pillow
 from anystyle_backbones.styl3r.keys import Styl3rCheckpoints
 from anystyle_backbones.styl3r.transformer import ImageEncoder, symmetric
 from anystyle_backbones.style_images import StyleImages
@@ -67,3 +70,22 @@ class Styl3rStyle(StyleImages):
     def grey_tokens(self) -> Tokens:
         side = self.resolution or 16 * self.encoder.patch_size
         return self.embed_tokens(self.encoder.norm.weight.new_full((1, 3, side, side), 0.5))
+
+
+def middle_squares(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 S S"]:
+    """The middle of images in [0, 1] whose shorter side is brought to ``side``; those of this size stay as they are.
+
+    They are resized as published, by Pillow's Lanczos kernel on 8 bits; where the images carry a gradient, by a cubic
+    kernel with antialiasing, which has one.
+    """
+    height, width = images.shape[-2:]
+    if (height, width) == (side, side):
+        return images
+    longer = int(max(height, width) / min(height, width) * side)
+    shape = (side, longer) if height <= width else (longer, side)
+    if images.requires_grad and torch.is_grad_enabled():
+        scaled = F.interpolate(images, size=shape, mode="bicubic", antialias=True, align_corners=False)
+    else:
+        scaled = as_pillow(images, shape, Image.Resampling.LANCZOS)
+    top, left = (round((length - side) / 2) for length in shape)
+    return scaled[..., top : top + side, left : left + side]

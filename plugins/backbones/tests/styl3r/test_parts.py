@@ -16,10 +16,10 @@ from anystyle.testing.inputs import stylization
 from anystyle.testing.oracle import hashed, smooth_image
 from anystyle.types import Attributes, Cameras, Geometry, Renders, Stylization, Tokens
 from anystyle.vision import networks, weights
-from anystyle.vision.preprocess import middle_squares
 from anystyle_backbones.styl3r import Styl3r
 from anystyle_backbones.styl3r.losses import Identity
 from anystyle_backbones.styl3r.pointmaps import cameras_of, focal_of, points_of
+from anystyle_backbones.styl3r.style_encoder import middle_squares
 from anystyle_backbones.styl3r.transformer import angles_of
 from tests.support import oracle
 from tests.support import styl3r_reference as reference
