@@ -128,7 +128,7 @@ def test_styles_are_texts_files_tensors_and_points_between(photographs, stylizer
     styles = [file, image, Style(image=image[None], names=("No. 4",)), Style(text=(text,)), text]
     styles += [Mixture(text, file, amount) for amount in (0.0, 0.25, 1.0)]
     results = anystyle.stylize(photographs, styles, model=stylizer, views=VIEWS)
-    titles = ["Red Painting", "image", "No. 4", "“blue ink”", "“blue ink”"]
+    titles = ["Red Painting", "image", "No. 4", "“blue ink”", "“blue ink” 2"]
     assert [style.title for style in results.styles[:5]] == titles
     assert [style.name for style in results.styles[:3]] == ["red-painting", "image", "no-4"]
     assert results.styles[6].name == "blue-ink_0.25_red-painting"

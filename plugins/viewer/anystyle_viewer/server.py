@@ -19,6 +19,7 @@ from PIL import Image
 
 from anystyle.data.images import open_image
 from anystyle.errors import UserError, one_line
+from anystyle.paths import distinct
 
 MAX_UPLOAD = 32 * 1024 * 1024
 """Bytes of an uploaded image."""
@@ -65,7 +66,9 @@ def store_upload(folder: Path, name: str, content: bytes) -> Path:
     stem = "".join(letter if letter.isalnum() else "-" for letter in Path(name).stem)[:40] or "image"
     image = open_image(content, f"the image {stem}", longest=MAX_SIDE, masked=True)
     folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"{stem}-{hashlib.sha256(content).hexdigest()[:8]}.png"
+    digest, kept = hashlib.sha256(content).hexdigest()[:8], [title_of(file.name) for file in folder.glob("*.png")]
+    same = next(folder.glob(f"{stem}*-{digest}.png"), None)
+    target = same or folder / f"{distinct([*kept, stem], '-')[-1]}-{digest}.png"
     image.save(target)
     return target
 

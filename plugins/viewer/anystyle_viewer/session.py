@@ -187,7 +187,10 @@ class Session:
             else:
                 self.in_progress, self.status = None, ""
                 self.current, self.gaussians = request, gaussians
-                self._save(request)
+                try:
+                    self._save(request)
+                except (UserError, OSError) as error:
+                    self.status = f"this style is not kept for the next start: {one_line(error)}"
                 self.on_change()
 
     def _report(self, progress: Progress) -> None:

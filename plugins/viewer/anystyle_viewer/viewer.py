@@ -103,9 +103,12 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             self.status = gui.add_markdown("")
             self.row = gui.add_html("")
             self.second = gui.add_dropdown("Towards", [NO_STYLE], hint="A second style to mix in")
-            self.amount = gui.add_slider("Amount", 0.0, 1.0, 0.05, 0.5, hint="0 is the first style, 1 the second")
-            self.strength = gui.add_slider("Strength", 0.0, 1.0, 0.05, 1.0)
-            self.preserve = gui.add_checkbox("Preserve colour", False, hint="The style's strokes in the scene's hues")
+            kept, in_hues = self.session.wanted, "The style's strokes in the scene's hues"
+            self.amount = gui.add_slider(
+                "Amount", 0.0, 1.0, 0.05, kept.amount, hint="0 is the first style, 1 the second"
+            )
+            self.strength = gui.add_slider("Strength", 0.0, 1.0, 0.05, kept.strength)
+            self.preserve = gui.add_checkbox("Preserve colour", kept.preserve_color > 0, hint=in_hues)
         paint.on_click(lambda _: form.submit())
         form.on_submit(lambda _: self.request(self.text.value.strip()))
         upload.on_upload(lambda event: self._uploaded(event.target.value))
@@ -220,6 +223,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         titles = (NO_STYLE, *(title_of(style) for style in self.session.styles()))
         if self.second.options != titles:
             self.second.options = titles
+            second = title_of(self.session.wanted.second)
+            self.second.value = second if second in titles else NO_STYLE
 
     def _render_thumbnail(self, style: str, gaussians: Gaussians) -> None:
         self._thumbnails[style] = data_url(to_pil(self.path.thumbnail(gaussians, THUMBNAIL_HEIGHT)))

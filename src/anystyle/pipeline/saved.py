@@ -24,7 +24,7 @@ from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render, pixels_shown, with_gaussians
 from anystyle.methods.simplify import simplified
-from anystyle.paths import short_names
+from anystyle.paths import distinct, short_names
 from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
 from anystyle.pipeline.export import in_axes, turn
 from anystyle.pipeline.options import SplatOptions, ViewOptions
@@ -118,7 +118,8 @@ def read_unturned(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScen
     folders = [path] if isinstance(whole.style, str) else sorted(file.parent for file in path.glob("*/report.json"))
     titles = [whole.style] if isinstance(whole.style, str) else whole.style
     reports = {folder: report for folder in folders if (report := _report(folder)).style in titles}
-    styles = [(str(report.style), read_gaussians(folder / "scene.safetensors")) for folder, report in reports.items()]
+    names = dict(zip(reports, distinct([str(report.style) for report in reports.values()], " "), strict=True))
+    styles = [(names[folder], read_gaussians(folder / "scene.safetensors")) for folder in reports]
     if not styles:
         raise UserError(f"{path / 'report.json'} lists results that are missing")
     unstyled = path / "unstyled.safetensors"
@@ -128,7 +129,7 @@ def read_unturned(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScen
     stored = own_cameras(first / "cameras.json")
     made = f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
     notes = (made, *weights.license_lines(report.licenses), *report.notes)
-    given = {str(report.style): folder / PICTURE for folder, report in reports.items()}
+    given = {names[folder]: folder / PICTURE for folder in reports}
     pictures = {title: open_image(file) for title, file in given.items() if file.is_file()}
     shared = {"offset": whole.offset, "pictures": pictures, "photographed": _photographed([report])}
     return with_cameras(StyledScene(tuple(styles), notes=notes, **shared), stored)

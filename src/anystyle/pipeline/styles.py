@@ -11,6 +11,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.io.sheet import Cell, to_pil
+from anystyle.paths import distinct
 from anystyle.pipeline.controls import Controls, rescaled
 from anystyle.pipeline.provenance import Entry, entry
 from anystyle.stylizer import Stylizer
@@ -111,7 +112,10 @@ def check_styles(styles: Sequence[StyleInput]) -> None:
 def embed_styles(
     styles: Sequence[StyleInput], stylizer: Stylizer, controls: Sequence[Controls] = (Controls(),)
 ) -> list[EmbeddedStyle]:
-    """Embed styles in their order, each under all controls; one that occurs several times is embedded once."""
+    """Embed styles in their order, each under all controls; one that occurs several times is embedded once.
+
+    Names and titles are distinct: of two files ``01.jpg`` in two folders the second is ``01 2``.
+    """
     embedded: dict[tuple[int, float], EmbeddedStyle] = {}
 
     def embed(style: StyleInput, scale: float) -> EmbeddedStyle:
@@ -126,7 +130,10 @@ def embed_styles(
                 result = _embed(style, stylizer, scale)
         return embedded.setdefault((id(style), scale), result)
 
-    return [embed(style, one.scale).under(one) for style in styles for one in controls]
+    found = [embed(style, one.scale).under(one) for style in styles for one in controls]
+    titles = distinct(["unstyled", *(one.title for one in found)], " ")[1:]
+    names = distinct([one.name for one in found], "-")
+    return [replace(one, title=title, name=name) for one, title, name in zip(found, titles, names, strict=True)]
 
 
 def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylizer, scale: float) -> EmbeddedStyle:
