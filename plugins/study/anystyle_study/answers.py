@@ -47,6 +47,7 @@ class Records:
     answers: tuple[Answer, ...]  # in the order of the files
     # number of items that each participant was to judge, where known
     assigned: Mapping[str, int] = field(default_factory=dict)
+    unanswered: tuple[Answer, ...] = ()  # attention checks that participants were shown and that have no row
     comments: tuple[tuple[str, str], ...] = ()  # free texts, each with its participant
     unused: tuple[str, ...] = ()  # columns that are not understood, and were ignored
     sources: tuple[str, ...] = ()  # names of the files

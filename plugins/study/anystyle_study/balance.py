@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ def draw_pairs(
 ) -> list[tuple[int, ...]]:
     """Draw ``count`` different scene-style pairs, as evenly over scenes and over styles as the available ones allow.
 
-    With a third axis, of pairs of methods, as evenly over these, too, and over pairs of scene and style.
+    With a third axis, of pairs of methods, as evenly over these, too, and within scenes and within styles.
     """
     found = np.argwhere(available)
     if len(found) < count:
@@ -54,13 +54,14 @@ def _evenly(
     low: Any = 0,  # scipy's stubs know single bounds only
     high: Any = 1,
 ) -> Int[np.ndarray, " count"]:
-    """Indices of the most even draw over each factor, and over scene-style pairs (the first two factors together).
+    """Indices of the most even draw over each factor, and over every two factors together, such as scenes and styles.
 
     At least ``low`` and at most ``high`` of each set, ties at random. A transport problem with random costs; the
     evenness is relaxed until there is a solution.
     """
     costs = generator.random(len(sets))
-    factors = [np.unique(labels, axis=0, return_inverse=True)[1].ravel() for labels in (*sets.T, sets[:, :2])]
+    pairs = (sets[:, pair] for pair in combinations(range(sets.shape[1]), 2))
+    factors = [np.unique(labels, axis=0, return_inverse=True)[1].ravel() for labels in (*sets.T, *pairs)]
     for slack in range(count + 1):
         constraints = [optimize.LinearConstraint(np.ones((1, len(sets))), count, count)]
         for levels in factors:

@@ -69,8 +69,9 @@ def check(
     records: Records, *, scale: Scale, rules: Rules, scales: Mapping[str, Scale] | None = None
 ) -> tuple[Checks, tuple[Responses, ...]]:
     """Check the answers, exclude participants by the rules, and undo the positions; ``scales`` are by question."""
-    by_question = {answer.question: (scales or {}).get(answer.question, scale) for answer in records.answers}
-    attention = [answer for answer in records.answers if answer.is_check]
+    answers = (*records.answers, *records.unanswered)
+    by_question = {answer.question: (scales or {}).get(answer.question, scale) for answer in answers}
+    attention = [answer for answer in answers if answer.is_check]
     given = [answer.is_check for answer in records.answers if not math.isnan(answer.score)]
     checks = Checks(len({answer.participant for answer in records.answers}), len(given), sum(given))
     main = [answer for answer in records.answers if not answer.is_check]
@@ -159,15 +160,21 @@ def _undone(answer: Answer, scales: Mapping[str, Scale]) -> float:
 def _check_attention(
     answers: Sequence[Answer], main: Sequence[Answer], scales: Mapping[str, Scale], rules: Rules, checks: Checks
 ) -> None:
-    """Checks have a given answer, ask to prefer the intact side, or must not reverse the first preference."""
+    """Checks have a given answer, ask to prefer the intact side, or must not reverse the first preference.
+
+    Of ratings the degraded side's is not above the intact one's, which is ``ours``.
+    """
     first = {(answer.participant, answer.item, answer.question): answer for answer in main}
+    of_sides = {answer.cell: answer.score for answer in answers if answer.check == "degraded"}
 
     def failed(answer: Answer) -> bool:
         if not answer.check:
             return answer.score != answer.expected
         again = np.sign(_undone(answer, scales))
-        if answer.method or answer.check == "degraded":
-            return not answer.method and not again < 0
+        if answer.method:
+            return not answer.score >= of_sides.get((*answer.cell[:-1], "theirs"), -math.inf)
+        if answer.check == "degraded":
+            return not again < 0
         before = first.get((answer.participant, answer.of, answer.question))
         return before is not None and bool(np.sign(_undone(before, scales)) * again < 0)
 

@@ -7,7 +7,7 @@ or whose rating it is in ``method`` (ours or theirs).
 import logging
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,10 +67,22 @@ def read_responses(
     return Records(
         answers=tuple(answers),
         assigned=assigned,
+        unanswered=() if study is None else tuple(_unanswered(answers, study)),
         comments=tuple(dict.fromkeys((row["participant"], row["comment"]) for row in rows if row.get("comment"))),
         unused=tuple(dict.fromkeys(name for table, _ in tables.values() for name in table[0] if name not in _KNOWN)),
         sources=tuple(file.name for file in files),
     )
+
+
+def _unanswered(answers: Sequence[Answer], study: Study) -> Iterator[Answer]:
+    """The attention checks without a row that people were shown before their last answer."""
+    question, checks = study.plan.questions[0].name, {check.id: check for check in study.checks}
+    for name in dict.fromkeys(answer.participant for answer in answers):
+        given, person = {answer.item for answer in answers if answer.participant == name}, study.participant(name)
+        order = [] if person is None else person.order
+        last = max((index for index, item in enumerate(order) if item in given), default=0)
+        for one in (checks[item] for item in order[:last] if item in checks and item not in given):
+            yield Answer(name, one.id, question, math.nan, check=one.kind, of=one.of)
 
 
 def _files(path: Path) -> list[Path]:

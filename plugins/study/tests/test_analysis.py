@@ -11,6 +11,7 @@ from scipy import stats
 from anystyle.errors import UserError
 from anystyle_paper import published_scores
 from anystyle_study.analysis import AnalysisOptions, analyze, as_json
+from anystyle_study.checks import check
 from anystyle_study.command import StudyCommand
 from anystyle_study.contract import Scale
 from anystyle_study.protocol import Rules
@@ -171,12 +172,31 @@ def test_no_verdict_where_most_are_excluded_or_one_is_left(tmp_path):
     assert "No conclusion is possible: one participant" in verdict(found, found.questions[0])
 
 
+def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
+    designed, _ = small_study(tmp_path)
+    (skipped, rated, _, stopped), (degraded,) = designed.participants, designed.checks
+    rows = []
+    for one in designed.participants:
+        for name in one.order if one != stopped else one.order[: one.order.index(degraded.id)]:
+            if (one, name) != (skipped, degraded.id):
+                intact_is_a, liked = name in one.ours_is_a, (one, name) != (rated, degraded.id)
+                rows.append((one.id, name, "style", "", 2 if intact_is_a else 4))
+                rows += [
+                    (one.id, name, "content", side, 4 if (side == "A") == (intact_is_a == liked) else 2)
+                    for side in "AB"
+                ]
+    path = write_csv(tmp_path / "a.csv", rows, "participant,item,question,side,score")
+    found, _ = check(read_responses([path], designed), scale=Scale(), rules=Rules())
+    failed = [finding.participant for finding in found.findings if finding.kind == "failed_attention_check"]
+    assert sorted(failed) == [skipped.id, rated.id]
+
+
 def test_a_designed_study_is_undone_and_reported(tmp_path, capsys):
     """Answers as the form keeps them: the design says where ours was, what is a check, and who was to answer what."""
     designed, _ = small_study(tmp_path, participants=12, repeats=1)
     rows = []
     for number, participant in enumerate(designed.participants):
-        for name in participant.order[: 2 if number == 5 else None]:
+        for name in participant.order[: 1 if number == 5 else None]:
             prefers = name in participant.ours_is_a  # everybody likes ours, and what is intact
             rows.append((designed.id, participant.id, name, "style", "", 2 if prefers else 4, 9))
             for side in "AB":

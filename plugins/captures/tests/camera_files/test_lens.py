@@ -13,6 +13,7 @@ SIZE = (480, 640)
 BROWN = Lens(SIZE, (520.0, 510.0), (322.0, 236.0), (-0.12, 0.03, 0.0, 0.0), (0.002, -0.003))
 WIDE = Lens(SIZE, (300.0, 300.0), (320.0, 240.0), (0.02, -0.01, 0.003, -0.0005), fisheye=True)
 ROUND = Lens(SIZE, (500.0, 500.0), (318.0, 243.0), (0.15, -0.05, 0.01, -0.002), (-0.001, 0.002))
+BARREL = Lens(SIZE, (530.0, 530.0), (320.0, 240.0), (-0.25, 0.0, 0.0, 0.0))
 
 
 def rays(number=200, reach=0.6):
@@ -36,7 +37,7 @@ def test_rays_are_seen_where_colmap_sees_them(model, lens, terms):
     np.testing.assert_allclose(lens.pixels(points).numpy(), seen, atol=1e-9)
 
 
-@pytest.mark.parametrize("lens", [BROWN, WIDE, ROUND])
+@pytest.mark.parametrize("lens", [BROWN, WIDE, ROUND, BARREL])
 def test_a_photograph_is_undistorted_and_filled(lens):
     """Of a photograph whose colours are the rays of its pixels, the undistorted one shows a pinhole camera's."""
     undistortion = lens.undistortion()

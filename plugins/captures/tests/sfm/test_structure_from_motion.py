@@ -10,7 +10,6 @@ import pytest
 from PIL import ExifTags, Image
 
 from anystyle.examples import resolved
-from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.sfm.colmap import match
 from anystyle_captures.sfm.model import Photograph, SearchOptions
 from anystyle_captures.sfm.trust import agreement
@@ -98,24 +97,6 @@ def test_no_feature_is_taken_of_what_is_masked(orbit, tmp_path):
     assert graph.pairs and all(pair.pixels[..., 0].max() <= 128 for pair in graph.pairs)
     few = match(tmp_path / "one", [masked[0], *orbit[1][1:3]], SearchOptions(min_side=256, max_side=256))
     assert len(few.pairs) == 3 and max(pair.pixels[..., 0].max() for pair in few.pairs) > 192  # the others count whole
-
-
-@pytest.mark.parametrize("radial", [-0.25, -0.05, 0.1])
-def test_undistorted_images_are_full_and_exact(radial):
-    center = (SIZE[1] / 2, SIZE[0] / 2)
-    undistortion = Lens(SIZE, (FOCAL, FOCAL), center, (radial, 0.0, 0.0, 0.0)).undistortion()
-    focal = float(undistortion.intrinsics[0, 0])
-    pose = arc(3, 30)[0]
-    undistorted = np.asarray(undistortion.apply(Image.fromarray(World(1).picture(pose, FOCAL, SIZE, radial))))
-    exact = World(1).picture(pose, focal, SIZE)
-    assert np.sqrt(np.square((undistorted.astype(float) - exact) / 255).mean()) < 0.05
-    assert (focal < FOCAL) == (radial < 0)
-    # Pixels of the border come from inside of the photograph, and some from its border.
-    border = np.array([[0.0, 0], [SIZE[1], 0], [SIZE[1] / 2, 0], [0, SIZE[0] / 2]])
-    rays = (border - center) / focal
-    seen = rays * (1 + radial * np.square(rays).sum(1, keepdims=True)) * FOCAL + center
-    assert (seen >= -1e-6).all() and (seen <= np.array([SIZE[1], SIZE[0]]) + 1e-6).all()
-    assert np.abs(seen - border).min(0).min() < 0.02
 
 
 @pytest.mark.slow
