@@ -53,8 +53,8 @@ contact_sheet([[to_pil(image) for image in scene.views.images[0, ::3]]])
 
 # %%
 print({name: scene.reconstruction[name] for name in ("registered", "num_gaussians", "heldout_psnr")})
-_, _, unstyled = results.unstyled
-contact_sheet([unstyled])
+cameras = scene.cameras.select([0, 3, 6, 9])
+contact_sheet([[to_pil(image) for image in scene.render(results.run.unstyled, cameras)]])
 
 # %% [markdown]
 # ## A style is computed when it is asked for

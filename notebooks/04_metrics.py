@@ -14,7 +14,7 @@
 # %% [markdown]
 # # Metrics
 #
-# Images of any method can be evaluated, from three folders. This notebook makes such folders with the bundled tiny
+# Images of any method can be evaluated, from three folders. This notebook makes such folders with the default
 # model, evaluates them by both variants of the protocol, and then looks at what a consistency score measures. Such a
 # score needs optical flow, and depends on the images from which the flow is estimated.
 
@@ -42,7 +42,7 @@ from anystyle.types import Frames
 ProceduralScenes = anystyle.catalog().find("scenes", "procedural").load()
 ProceduralStyles = anystyle.catalog().find("styles", "procedural").load()
 stylizer = anystyle.load()
-scenes, styles = ProceduralScenes(split="heldout", size=112), ProceduralStyles(split="heldout", size=112)
+scenes, styles = ProceduralScenes(split="heldout", size=168), ProceduralStyles(split="heldout", size=168)
 views = scenes.read(11, [0, 1])
 scene = stylizer.encode(views)
 
@@ -97,8 +97,9 @@ print(f"{truth.visible.float().mean():.0%} of the first frame is seen in the sec
 
 # %% [markdown]
 # ## Flow of the photographs, or of the result?
-# Flow estimated on the photographs follows the scene. Flow estimated on the *stylized* frames, as in the published
-# protocol, follows the texture that the method painted; an image without texture always seems consistent.
+# The published protocol estimates flow on the *stylized* frames, where it follows the texture that the method painted;
+# others estimate it on the photographs. Without RAFT's weights `correspondence=raft` searches in windows, and says so:
+# it is wrong where the picture is plain, in whichever of the two. An image without texture has no flow at all.
 
 # %%
 images_of = {
@@ -107,8 +108,8 @@ images_of = {
     "style 14": renders[1],
     "flat grey": 0 * views.images + 0.5,
 }
-dis = build(Correspondence, "dis")
-flows = {name: dis(frame(images, 0), frame(images, 1)) for name, images in images_of.items()}
+raft = build(Correspondence, "raft")
+flows = {name: raft(frame(images, 0), frame(images, 1)) for name, images in images_of.items()}
 
 
 def colored(displacement):
@@ -142,9 +143,10 @@ Markdown("\n".join(["| flow from | error in pixels |", "|---|---:|", *rows]))
 
 # %% [markdown]
 # ## What it does to the score
-# The same pair of frames, warped by each flow. With its own flow a result looks several times as consistent as with the
-# true one (in part because the model's geometry is not exact). The flat grey image is perfectly consistent with any
-# flow: a consistency score rewards blank images, and therefore belongs beside a score of style.
+# The same pair of frames, warped by each flow; lower is more consistent. A result looks more consistent by its own
+# flow, which was sought to make its two frames alike, than by the true one (in part because the model's geometry is
+# not exact). The flat grey image is perfectly consistent with any flow: a consistency score rewards blank images, and
+# therefore belongs beside a score of style.
 
 
 # %%

@@ -148,8 +148,8 @@ Markdown(tests_table(question, analysis.settings.confidence).markdown() + f"\n**
 # `anystyle study analyze` writes the same as a page, with all checks.
 #
 # ## How many participants?
-# The power of the paper's design for a preference of 0.3 points with variance between participants and sets, its
-# false-positive rate, and the number of participants that suffices.
+# The power of the paper's design for a preference of 0.3 points with variance between participants and sets, and its
+# false-positive rate, by the number of participants. 150 simulated studies are few: the intervals are wide.
 
 # %%
 fast = {"one_sample_t": OneSampleT(), "crossed_t": CrossedT()}

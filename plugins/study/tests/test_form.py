@@ -80,6 +80,8 @@ def test_the_static_page_from_first_click_to_saved_answers(page, errors, designe
     assert (saved["study"], saved["participant"], saved["comment"]) == (study.id, "P02", '=cmd|"x"\n<i>fine</i>')
     assert {(row["item"], row["question"], row["side"]): row["score"] for row in saved["responses"]} == chosen
     check_positions(study, file, "P02", chosen)
+    times = {row["question"]: row["seconds"] for row in saved["responses"] if row["item"] == second}
+    assert times["style"] >= times["content"]  # answered again when the set was shown again
     columns = ("participant", "item", "question", "side", "score", "seconds", "time", "revision")
     assert set(saved["responses"][0]) == set(columns)
     assert errors == []

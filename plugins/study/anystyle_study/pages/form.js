@@ -239,7 +239,8 @@
         node.dataset.loaded = "yes";
         fields.forEach((field) => { field.disabled = false; });
         next.disabled = !ready();
-        shownAt = performance.now();
+        // A set that is shown again goes on where its answers were given.
+        shownAt = performance.now() - 1000 * Math.max(0, ...asked.map((question) => answer(set, question)?.seconds ?? 0));
         for (const name of sets[index + 1] ? files(sets[index + 1]) : []) load(name).catch(() => {});
       } catch {
         loading.replaceChildren(make("p", { text: "Some pictures could not be loaded. Please check your connection, and whether this browser blocks pictures. Your answers are safe." }),
