@@ -33,6 +33,11 @@ def test_a_finished_run_that_is_repeated_or_refused_changes_nothing(whole):
     with pytest.raises(ValueError, match="another configuration"):
         train(configuration((*WORDS, "seed=77"), whole), whole, begun.append)
     assert state(whole) == before and not begun
+    with pytest.raises(ValueError, match="kept no best weights; resume=never"):
+        train(configuration((*WORDS, "checkpoint.best=val/loss"), whole), whole)
+    size = (whole / "backbone.safetensors").stat().st_size
+    train(configuration((*WORDS, "export.half=false"), whole), whole)
+    assert (whole / "backbone.safetensors").stat().st_size > 1.8 * size
     (whole / "metrics.json").unlink()
     assert train(configuration(WORDS, whole), whole).metrics["train/loss"] == outcome.metrics["train/loss"]
     assert (whole / "metrics.json").read_text() and set(state(whole)) >= set(before)

@@ -18,7 +18,7 @@ from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncod
 from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.checkpoint import Header, load_part, save_part, sha256
+from anystyle.io.checkpoint import Header, load_part, read_header, save_part, sha256
 from anystyle.io.documents import Number, as_number, kept_json
 from anystyle.io.record import commit
 from anystyle.io.run_folder import RECORD
@@ -139,7 +139,7 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
     data = make_data(config, training, sources)
 
     def written(folder: Path, **made: Any) -> tuple[Path, ...]:
-        provenance = {**code, "seed": config.seed, **made, **inputs_of(config, sources)}
+        provenance = {**code, "seed": config.seed, "half": config.export.half, **made, **inputs_of(config, sources)}
         return export(config, training.exports(), folder, provenance=provenance)
 
     if is_rank_zero():
@@ -189,6 +189,12 @@ def _finished(config: DictConfig, out: Path) -> Outcome | None:
         return None
     if (resumed := resumable(config, out / "last.ckpt")) is None:
         return None
+    if (name := config.checkpoint.best) and not (out / BEST).is_dir():
+        raise UserError(
+            f"checkpoint.best={name}: {out} has ended and kept no best weights; resume=never starts it again"
+        )
+    if read_header(weights[0]).provenance.get("half", config.export.half) != config.export.half:
+        return None  # the same weights are written once more
     metrics = {name: as_number(value) for name, value in stored.items()}
     return Outcome(resumed.step, True, metrics, weights, is_rank_zero())
 
