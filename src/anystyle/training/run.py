@@ -205,7 +205,7 @@ def _trial(config: DictConfig, out: Path) -> Iterator[tuple[DictConfig, Path]]:
     short, folder = config.copy(), out / ".trial"
     options = {
         "fast_dev_run": False, "resume": "never", "validation_steps": min(1, config.validation_steps),
-        "checkpoint.every_steps": 1, "trainer.max_steps": 2, "trainer.val_check_interval": 1,
+        "cache": None, "checkpoint.every_steps": 1, "trainer.max_steps": 2, "trainer.val_check_interval": 1,
         "trainer.log_every_n_steps": 1, "training.preview_every": 1,
         "training.examples": min(16, config.training.get("examples") or 16),
     }  # fmt: skip

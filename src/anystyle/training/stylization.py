@@ -233,7 +233,7 @@ class StylizationTraining(Training):
         groups = branch_groups(self.stylizer, lr=self.learning_rate, **self.rates)
         fused = self.device.type == "cuda" and self.trainer.precision != "16-mixed"  # whose scaler refuses it
         optimizer = torch.optim.AdamW(groups, betas=self.betas, weight_decay=self.weight_decay, fused=fused or None)
-        total = self.trainer.max_steps if self.decay_steps is None else self.decay_steps
+        total = self.trainer.max_steps - self.warmup if self.decay_steps is None else self.decay_steps
         return scheduled(optimizer, total=total, warmup=self.warmup, floor=self.floor)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
