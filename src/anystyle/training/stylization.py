@@ -64,7 +64,7 @@ class StylizationTraining(Training):
         warmup: Steps of the warm-up.
         weight_decay: AdamW's weight decay of all parameters.
         floor: The learning rate at the end.
-        decay_steps: Length of the cosine; ``None`` means to the end of the training (published: 300 000).
+        decay_steps: Length of the cosine behind the warm-up; ``None`` takes ``trainer.max_steps`` (published: 300 000).
         preview_every: Steps between two grids of styled renders; 0 draws none.
         preview_texts: The texts of the grid.
     """
@@ -233,7 +233,7 @@ class StylizationTraining(Training):
         groups = branch_groups(self.stylizer, lr=self.learning_rate, **self.rates)
         fused = self.device.type == "cuda" and self.trainer.precision != "16-mixed"  # whose scaler refuses it
         optimizer = torch.optim.AdamW(groups, betas=self.betas, weight_decay=self.weight_decay, fused=fused or None)
-        total = self.trainer.max_steps - self.warmup if self.decay_steps is None else self.decay_steps
+        total = self.trainer.max_steps if self.decay_steps is None else self.decay_steps
         return scheduled(optimizer, total=total, warmup=self.warmup, floor=self.floor)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
