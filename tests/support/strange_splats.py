@@ -86,11 +86,8 @@ def columns(degree: int = 0, count: int = COUNT) -> dict[str, Array]:
 
 def held_by(values: Mapping[str, Array]) -> Held:
     rest = sum(name.startswith("f_rest_") for name in values) // 3
-    harmonics = np.empty((len(values["x"]), rest + 1, 3))
-    for channel in range(3):
-        harmonics[:, 0, channel] = values[f"f_dc_{channel}"]
-        for index in range(rest):
-            harmonics[:, index + 1, channel] = values[f"f_rest_{channel * rest + index}"]
+    higher = np.array([values[f"f_rest_{index}"] for index in range(3 * rest)]).reshape(3, rest, len(values["x"]))
+    harmonics = np.concatenate([[[values[f"f_dc_{channel}"]] for channel in range(3)], higher], 1).T
 
     def stack(stem: str, number: int) -> Array:
         return np.stack([values[f"{stem}_{index}"] for index in range(number)], 1)
@@ -258,15 +255,9 @@ def strange_rows() -> Iterator[Case]:
             values = columns(1)
             change(values)
             held = held_by(values)
-            sound = [
-                held.means,
-                held.rotations,
-                held.scales,
-                held.opacities[:, None],
-                held.harmonics.reshape(COUNT, -1),
-            ]
+            sound = (held.means, held.rotations, held.scales, held.opacities, held.harmonics)
             largest = np.sqrt(np.finfo("f4").max)
-            kept = np.logical_and.reduce([(np.abs(column) < largest).all(1) for column in sound])
+            kept = np.logical_and.reduce([(np.abs(each.reshape(COUNT, -1)) < largest).all(1) for each in sound])
             kept &= values["opacity"] != -INF
             lost = COUNT - int(kept.sum())
             line = f"{lost} of {COUNT} Gaussians are left out ({what})" if lost else what
@@ -368,20 +359,13 @@ def refused_plys() -> Iterator[Case]:
 
     for name in ("x", "f_dc_1", "opacity", "scale_0", "rot_2"):
         yield f"without {name}.ply", without(name)
-    points = {
-        **{axis: columns(0)[axis] for axis in "xyz"},
-        **{name: np.zeros(COUNT) for name in ("red", "green", "blue")},
-    }
-    yield (
-        "a point cloud.ply",
-        lambda: Strange(ply(points, kinds=dict.fromkeys(("red", "green", "blue"), "u1")), "without the properties"),
-    )
+    colors = ("red", "green", "blue")
+    points = {axis: columns(0)[axis] for axis in "xyz"} | dict.fromkeys(colors, np.zeros(COUNT))
+    yield "a point cloud.ply", lambda: Strange(ply(points, kinds=dict.fromkeys(colors, "u1")), "without the properties")
     yield "no rows.ply", lambda: Strange(ply(columns(1, 0)), "it is empty")
     yield "cut.ply", lambda: Strange(ply(columns(1))[:-7], "is not a PLY file of Gaussians")
-    yield (
-        "10 harmonics.ply",
-        lambda: Strange(ply(columns(0) | {f"f_rest_{i}": np.zeros(COUNT) for i in range(10)}), "10"),
-    )
+    ten = {f"f_rest_{index}": np.zeros(COUNT) for index in range(10)}
+    yield "10 harmonics.ply", lambda: Strange(ply(columns(0) | ten), "10")
 
 
 # PLY, compressed
@@ -397,10 +381,8 @@ def compressed() -> Iterator[Case]:
         groups = (names[:3], names[3:6], names[6:])  # in SuperSplat's order
         both = (("min", low), ("max", high))
         chunk = {f"{bound}_{name}": values[name] for group in groups for bound, values in both for name in group}
-        words = {
-            f"packed_{name}": draw.integers(0, 1 << 32, count, np.uint64)
-            for name in ("position", "rotation", "scale", "color")
-        }
+        packs = ("position", "rotation", "scale", "color")
+        words = {f"packed_{name}": draw.integers(0, 1 << 32, count, np.uint64) for name in packs}
         if edges:
             words = {name: np.where(np.arange(count) % 2, 0, 0xFFFFFFFF) for name in words}
             words["packed_rotation"] = np.arange(count, dtype=np.uint64) % 4 << 30 | 0x1FF7FDFF

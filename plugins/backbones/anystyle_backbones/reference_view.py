@@ -42,8 +42,9 @@ def reference_view(
         similarity = unit @ unit.mT - torch.eye(views, device=tokens.device)
     if strategy == "saddle_sim_range":
         return (similarity.amax(-1) - similarity.amin(-1)).argmax(-1)
-    scores = [similarity.sum(-1) / (views - 1), tokens.float().norm(dim=-1), unit.var(dim=-1)]
-    return torch.stack([(_of_range(score) - 0.5).abs() for score in scores]).sum(0).argmin(-1)
+    scores = torch.stack([similarity.sum(-1) / (views - 1), tokens.float().norm(dim=-1), unit.var(dim=-1)])
+    low, high = scores.amin(-1, keepdim=True), scores.amax(-1, keepdim=True)
+    return ((scores - low) / (high - low + 1e-8) - 0.5).abs().sum(0).argmin(-1)
 
 
 def is_reference(tokens: Tokens) -> Bool[Tensor, "B V"]:
@@ -69,8 +70,3 @@ def _central(images: Float[Tensor, "B V 3 H W"]) -> Int[Tensor, " B"]:
     small = F.adaptive_avg_pool2d(images.flatten(0, 1).float(), THUMBNAIL).flatten(1).unflatten(0, images.shape[:2])
     distance = torch.cdist(small, small, compute_mode="donot_use_mm_for_euclid_dist")
     return (distance.mean(-1) + 1e-3 * small.mean(-1)).argmin(-1)
-
-
-def _of_range(score: Float[Tensor, "B V"]) -> Float[Tensor, "B V"]:
-    low, high = score.amin(-1, keepdim=True), score.amax(-1, keepdim=True)
-    return (score - low) / (high - low + 1e-8)

@@ -101,7 +101,9 @@ def processes_of(arguments: argparse.Namespace) -> int:
 
 def summary(figures: Figures) -> Table:
     """Methods down, by each guide, and metrics across."""
-    shown = [name for name in figures.headline if any(name in row.figures for row in figures.table)]
+    # The first figure of each metric.
+    firsts = {info.metric or name: name for name, info in reversed(figures.metrics.items())}.values()
+    shown = [name for name in figures.metrics if name in firsts and any(name in row.figures for row in figures.table)]
     rows: list[tuple[str, ...]] = []
     for row in sorted(figures.table, key=lambda row: row.guide):
         values = [spread(row.figures.get(name)) for name in shown]

@@ -188,12 +188,6 @@ class Figures(Struct, frozen=True):
     table: list[TableRow]
     origins: dict[str, Origin] = msgspec.field(default_factory=dict)
 
-    @property
-    def headline(self) -> list[str]:
-        """The first figure of each metric."""
-        firsts = {info.metric or name: name for name, info in reversed(self.metrics.items())}
-        return [name for name in self.metrics if name in firsts.values()]
-
     def cells_of(self, method: str, guide: str) -> list[CellFigures]:
         """The cells of a method by a guide."""
         return [cell for cell in self.cells if (cell.method, cell.guide) == (method, guide)]

@@ -180,11 +180,9 @@ def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
         for name in one.order if one != stopped else one.order[: one.order.index(degraded.id)]:
             if (one, name) != (skipped, degraded.id):
                 intact_is_a, liked = name in one.ours_is_a, (one, name) != (rated, degraded.id)
-                rows.append((one.id, name, "style", "", 2 if intact_is_a else 4))
-                rows += [
-                    (one.id, name, "content", side, 4 if (side == "A") == (intact_is_a == liked) else 2)
-                    for side in "AB"
-                ]
+                a, b = (4, 2) if intact_is_a == liked else (2, 4)
+                scores = (("style", "", 2 if intact_is_a else 4), ("content", "A", a), ("content", "B", b))
+                rows += [(one.id, name, *score) for score in scores]
     path = write_csv(tmp_path / "a.csv", rows, "participant,item,question,side,score")
     found, _ = check(read_responses([path], designed), scale=Scale(), rules=Rules())
     failed = [finding.participant for finding in found.findings if finding.kind == "failed_attention_check"]
