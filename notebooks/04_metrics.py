@@ -28,10 +28,8 @@ from IPython.display import Markdown
 from PIL import Image
 
 import anystyle
-from anystyle.contracts import Correspondence
 from anystyle.correspondences.rendered_depth import RenderedDepth
 from anystyle.io.sheet import contact_sheet, to_pil
-from anystyle.registry.build import build
 from anystyle.types import Frames
 
 # %% [markdown]
@@ -98,8 +96,8 @@ print(f"{truth.visible.float().mean():.0%} of the first frame is seen in the sec
 # %% [markdown]
 # ## Flow of the photographs, or of the result?
 # The published protocol estimates flow on the *stylized* frames, where it follows the texture that the method painted;
-# others estimate it on the photographs. Without RAFT's weights `correspondence=raft` searches in windows, and says so:
-# it is wrong where the picture is plain, in whichever of the two. An image without texture has no flow at all.
+# others estimate it on the photographs. Here `correspondence=raft` searches in windows, as it does where RAFT's weights
+# are missing: it is wrong where the picture is plain, in whichever of the two. An image without texture has no flow.
 
 # %%
 images_of = {
@@ -108,7 +106,7 @@ images_of = {
     "style 14": renders[1],
     "flat grey": 0 * views.images + 0.5,
 }
-raft = build(Correspondence, "raft")
+raft = anystyle.catalog().find("correspondence", "raft").load()(weights="stand_in")
 flows = {name: raft(frame(images, 0), frame(images, 1)) for name, images in images_of.items()}
 
 
