@@ -20,7 +20,7 @@ MADE = ".anystyle"
 """The file in which a folder of results lists the entries that this program made there."""
 LOCK = ".lock"
 PARTIAL = ".partial-"
-"""The beginning of temporary names; only a killed process leaves such files."""
+"""The beginning of temporary names; only a killed process leaves such files, until the next one locks their folder."""
 LEASE = 60.0
 """Seconds without a sign of life after which a lock is taken over, whatever machine its process was on."""
 
@@ -108,8 +108,8 @@ def folder_lock(folder: Path, refusal: str) -> Iterator[Callable[[], None]]:
 
     The lock is the file ``.lock``, which needs nothing of a file system but that it creates a file once. Its process
     touches it three times within :data:`LEASE` seconds. The lock of a process that has died on this machine is taken
-    over, and so is one that was not touched for longer, as of a machine that has gone. The block is given a function
-    that raises the same error if that happened to its own.
+    over, and so is one that was not touched for longer, as of a machine that has gone. What a killed process had begun
+    to write there is deleted. The block is given a function that raises the same error if its own lock was taken over.
     """
     with _made_folder(folder):
         lease = SoftFileLease(folder / LOCK, lease_duration=LEASE, blocking=False)
@@ -135,6 +135,8 @@ def folder_lock(folder: Path, refusal: str) -> Iterator[Callable[[], None]]:
                 if silent < math.inf:
                     lease.force_break()
         try:
+            for left in folder.glob(f"{PARTIAL}*"):
+                shutil.rmtree(left) if left.is_dir() else left.unlink(missing_ok=True)
             yield check
         finally:
             lease.release()

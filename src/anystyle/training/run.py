@@ -110,9 +110,6 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
     # Now: the checkout may change while the run goes on with the code it was started with.
     code = {"command": command_line("train"), "commit": commit(), "torch": torch.__version__}
     last = out / "last.ckpt"
-    if is_rank_zero():
-        for partial in out.glob(".partial-*.ckpt"):  # of a run that was killed while it wrote
-            partial.unlink(missing_ok=True)
     resumed = resumable(config, last)
     # Trainer and data come first: a mistake in them shows before networks are loaded, which may take minutes.
     average = MovingAverage(float(config.average)) if config.average else None
