@@ -47,10 +47,10 @@ def test_warnings_of_metrics_are_kept_once_and_not_those_of_rows():
             warnings.warn(f"{len(self.values)} values are few", stacklevel=1)
             return super().compute()
 
-    given = comparison(2, 2)
-    rows = [row_of(given, row) for row in range(2)]
-    found = judge({"loud": Loud()}, [rows[0], row_of(given, 0, style="other")])
-    assert found.provenance["warnings"] == ["a row's own warning", "2 values are few"]
+    rows = [row_of(comparison(2, 2), 0, style=style) for style in ("style", "other")]
+    for number in (1, 2):
+        found = judge({"loud": Loud()}, rows[:number])
+        assert found.provenance["warnings"] == ["a row's own warning", f"{number} values are few"]
 
 
 @pytest.mark.parametrize("call", [("update", 1), ("update", 2), ("compute", 1), ("compute", 2), ("compute", 3)])

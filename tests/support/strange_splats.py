@@ -428,10 +428,8 @@ def compressed() -> Iterator[Case]:
 
 def smallest_three(largest: Array, others: Array) -> Array:
     """Quaternions from the index of the largest component and the other three in order."""
-    turns = np.empty((len(largest), 4))
-    for row, (index, three) in enumerate(zip(largest, others, strict=True)):
-        turns[row] = np.insert(three, index, np.sqrt(max(0.0, 1 - three @ three)))
-    return turns
+    rows = zip(largest, others, strict=True)
+    return np.array([np.insert(three, index, np.sqrt(max(0.0, 1 - three @ three))) for index, three in rows])
 
 
 # SPZ
@@ -595,22 +593,18 @@ def ksplats() -> Iterator[Case]:
                 values = stored[:, 3 * first : 3 * (first + wide)].reshape(COUNT, 3, wide)
                 rest[:, first : first + wide] = np.moveaxis(values, 1, 2)
             color = rows["color"] / 255
-            parts.append((
-                means, rows["turn"].astype("f8"), rows["scale"].astype("f8"), color[:, 3],
-                np.concatenate([(color[:, None, :3] - 0.5) / C0, rest], 1),
-            ))  # fmt: skip
+            turns, scales = (rows[name].astype("f8") for name in ("turn", "scale"))
+            harmonics = np.concatenate([(color[:, None, :3] - 0.5) / C0, rest], 1)
+            parts.append((means, turns, scales, color[:, 3], harmonics))
             lengths = np.array(sizes[1:] if level else [], "<u4")
             body = lengths.tobytes() + centers.tobytes() + table.tobytes()
             buckets = (256, len(centers), block, 12, 32767) if level else (0, 0, 0.0, 0, 0)
-            head = struct.pack(
-                "<IIIIfHxxIIIIH", COUNT, COUNT + room, *buckets, len(body), 1 if level else 0, len(lengths), degree
-            )
-            heads.append(head.ljust(1024, b"\0"))
+            head = (COUNT, COUNT + room, *buckets, len(body), 1 if level else 0, len(lengths), degree)
+            heads.append(struct.pack("<IIIIfHxxIIIIH", *head).ljust(1024, b"\0"))
             bodies.append(body)
         total = COUNT * sections
-        start = struct.pack(
-            "<BBxxIIIIHxx3fff", 0, 1, sections, sections, total + room * sections, total, level, 0, 0, 0, low, high
-        )
+        counts = (sections, sections, total + room * sections, total)
+        start = struct.pack("<BBxxIIIIHxx3fff", 0, 1, *counts, level, 0, 0, 0, low, high)
         data = start.ljust(4096, b"\0") + b"".join(heads) + b"".join(bodies)
         means, turns, scales, opacities, harmonics = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         return Strange(data, Held(means, turns, scales, opacities, harmonics))

@@ -22,7 +22,7 @@ VARIABLE = "ANYSTYLE_CACHE"
 """The environment variable that names the folder; ``off`` disables the cache."""
 LIMIT = 1 << 30
 """Bytes; the least recently used files are deleted first."""
-FORMAT = "18"
+FORMAT = "19"
 """To be changed whenever the same photographs and options give another result, which invalidates old entries."""
 
 

@@ -70,8 +70,8 @@ class ModelRenders(Protocol):
         self.variant: Variant = variant
         known = _indices(self.scenes, scene_names)
         # Scenes and styles: index by file name.
-        chosen = {name: known[name] for name in list(scene_names or known)[:num_scenes]}
-        self.planned_scenes = dict(zip(distinct([n.replace("/", "-") for n in chosen]), chosen.values(), strict=True))
+        files = dict(zip(known, distinct([name.replace("/", "-") for name in known]), strict=True))
+        self.planned_scenes = {files[name]: known[name] for name in list(scene_names or known)[:num_scenes]}
         count = min(len(self.styles), num_styles or len(self.styles))
         self.planned_styles = {f"{index:0{max(2, len(str(count - 1)))}d}": index for index in range(count)}
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,19 +13,21 @@ from anystyle.errors import UserError
 
 
 def draw_pairs(
-    available: Bool[np.ndarray, "S T *P"], count: int, generator: np.random.Generator
+    available: Bool[np.ndarray, "S T *P"], count: int, generator: np.random.Generator, *, once: bool = True
 ) -> list[tuple[int, ...]]:
     """Draw ``count`` different scene-style pairs, as evenly over scenes and over styles as the available ones allow.
 
-    With a third axis, of pairs of methods, as evenly over these, too, and within scenes and within styles.
+    With a third axis, of pairs of methods, as evenly over these, too, and within scenes and within styles; unless
+    ``once``, a scene and style may be drawn with several of them.
     """
     found = np.argwhere(available)
-    if len(found) < count:
+    most = len(np.unique(found[:, :2], axis=0)) if once else len(found)
+    if most < count:
         what = "pairs of scene and style have results of every method"
-        what = what if available.ndim == 2 else "pairs of methods are there in all scenes and styles"
+        what = what if once else "pairs of methods are there in all scenes and styles"
         raise UserError(
-            f"{count} sets are asked for and {len(found)} {what}; plan at most {len(found) - len(found) % 2} sets "
-            "(pool=, sets=), or add results"
+            f"{count} sets are asked for and {most} {what}; plan at most {most - most % 2} sets (pool=, sets=), or "
+            "add results"
         )
     return [tuple(row) for row in generator.permutation(found[_evenly(found, count, generator)]).tolist()]
 
@@ -57,22 +59,30 @@ def _evenly(
     """Indices of the most even draw over each factor, and over every two factors together, such as scenes and styles.
 
     At least ``low`` and at most ``high`` of each set, ties at random. A transport problem with random costs; the
-    evenness is relaxed until there is a solution.
+    evenness over one after the other is relaxed until there is a solution.
     """
-    costs = generator.random(len(sets))
-    pairs = (sets[:, pair] for pair in combinations(range(sets.shape[1]), 2))
-    factors = [np.unique(labels, axis=0, return_inverse=True)[1].ravel() for labels in (*sets.T, *pairs)]
-    for slack in range(count + 1):
+    costs, number = generator.random(len(sets)), sets.shape[1]
+    # In the order in which they are to be even.
+    labels = [*sets.T[2:], sets[:, :2], *sets.T[:2], *(sets[:, [a, b]] for b in range(2, number) for a in range(b))]
+    factors = [np.unique(each, axis=0, return_inverse=True)[1].ravel() for each in labels]
+    slack = [0] * len(factors)
+
+    def solved() -> Any:
         constraints = [optimize.LinearConstraint(np.ones((1, len(sets))), count, count)]
-        for levels in factors:
+        for levels, wider in zip(factors, slack, strict=True):
             size = levels.max() + 1
-            members = np.arange(size)[:, None] == levels
-            each = math.floor(count / size) - slack, math.ceil(count / size) + slack
-            constraints.append(optimize.LinearConstraint(members.astype(float), *each))
-        result = optimize.milp(costs, integrality=1, bounds=optimize.Bounds(low, high), constraints=constraints)
-        if result.x is not None:
-            return np.flatnonzero(result.x > 0.5)
-    raise AssertionError("any sets at all fit within a slack of as many")
+            members = (np.arange(size)[:, None] == levels).astype(float)
+            each = math.floor(count / size) - wider, math.ceil(count / size) + wider
+            constraints.append(optimize.LinearConstraint(members, *each))
+        return optimize.milp(costs, integrality=1, bounds=optimize.Bounds(low, high), constraints=constraints).x
+
+    if (found := solved()) is None:
+        slack[:] = [count] * len(factors)
+        for index in range(len(factors)):
+            for slack[index] in range(count + 1):
+                if (found := solved()) is not None:
+                    break
+    return np.flatnonzero(np.asarray(found, float) > 0.5)
 
 
 def balanced_positions(

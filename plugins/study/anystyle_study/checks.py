@@ -172,7 +172,8 @@ def _check_attention(
             return answer.score != answer.expected
         again = np.sign(_undone(answer, scales))
         if answer.method:
-            return not answer.score >= of_sides.get((*answer.cell[:-1], "theirs"), -math.inf)
+            theirs = of_sides.get((*answer.cell[:-1], "theirs"), -math.inf)
+            return answer.check == "degraded" and not answer.score >= theirs
         if answer.check == "degraded":
             return not again < 0
         before = first.get((answer.participant, answer.of, answer.question))

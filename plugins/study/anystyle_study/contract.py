@@ -75,9 +75,7 @@ class Responses:
     @property
     def item_titles(self) -> tuple[str, ...]:
         """Display names of the items: scene and style where both are known."""
-        if not (self.item_scenes and self.item_styles):
-            return self.item_names
-        return tuple(map(", ".join, zip(self.item_scenes, self.item_styles, strict=True)))
+        return tuple(map(", ".join, zip(self.item_scenes, self.item_styles, strict=False))) or self.item_names
 
     @property
     def factors(self) -> dict[Population, Int[np.ndarray, " N"]]:

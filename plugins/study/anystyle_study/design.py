@@ -51,9 +51,9 @@ def design(sources: Sources, plan: Plan, out: Path) -> Study:
     available = np.array([[(scene, style) in usable for style in styles] for scene in scenes])
     baselines = tuple(name for name in sources.methods if name != sources.ours)
     sets = plan.pool or plan.sets
-    of_ours = [(sources.ours, name) for name in baselines]
-    rivals = of_ours if plan.pairs == "ours" else [*combinations(sources.methods, 2)]
-    drawn = draw_pairs(np.repeat(available[..., None], len(rivals), axis=2), sets, generator)
+    of_ours = plan.pairs == "ours"
+    rivals = [(sources.ours, name) for name in baselines] if of_ours else [*combinations(sources.methods, 2)]
+    drawn = draw_pairs(np.repeat(available[..., None], len(rivals), axis=2), sets, generator, once=of_ours)
     with atomic_directory(out) as folder:
         writer = _Writer(folder / PICTURES, plan, generator)
         degraded = pictures.spread(range(sets), plan.degraded)

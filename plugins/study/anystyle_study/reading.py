@@ -76,7 +76,8 @@ def read_responses(
 
 def _unanswered(answers: Sequence[Answer], study: Study) -> Iterator[Answer]:
     """The attention checks without a row that people were shown before their last answer."""
-    question, checks = study.plan.questions[0].name, {check.id: check for check in study.checks}
+    question, asked = study.plan.questions[0].name, {answer.item for answer in answers}
+    checks = {check.id: check for check in study.checks if check.id in asked}  # a table may have none at all
     for name in dict.fromkeys(answer.participant for answer in answers):
         given, person = {answer.item for answer in answers if answer.participant == name}, study.participant(name)
         order = [] if person is None else person.order

@@ -113,9 +113,7 @@ def _ordered(question: QuestionAnalysis) -> list[NamedResult]:
 
 def _class(question: QuestionAnalysis, test: NamedResult) -> str:
     """The CSS class of a test's row."""
-    if test == question.primary:
-        return "primary"
-    return "" if test.result.generalizes_to else "naive"
+    return "primary" if test == question.primary else "" if test.result.generalizes_to else "naive"
 
 
 def _inflation(questions: Sequence[QuestionAnalysis]) -> Table:

@@ -187,6 +187,8 @@ def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
     found, _ = check(read_responses([path], designed), scale=Scale(), rules=Rules())
     failed = [finding.participant for finding in found.findings if finding.kind == "failed_attention_check"]
     assert sorted(failed) == [skipped.id, rated.id]
+    write_csv(path, [row for row in rows if row[1] != degraded.id], "participant,item,question,side,score")
+    assert not check(read_responses([path], designed), scale=Scale(), rules=Rules())[0].exclusions  # it has no checks
 
 
 def test_a_designed_study_is_undone_and_reported(tmp_path, capsys):

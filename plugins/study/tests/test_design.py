@@ -152,6 +152,11 @@ def test_pairs_are_as_even_as_the_results_allow():
     assert sorted(pair[0] for pair in draw_pairs(available, 6, generator))[0] <= 1
     with pytest.raises(ValueError, match=r"20 sets are asked for and 7 pairs .* plan at most 6"):
         draw_pairs(available, 20, generator)
+    of_two = np.repeat((generator.random((4, 6)) < 0.7)[..., None], 2, axis=2)  # baselines, where results are missing
+    rows = np.array(draw_pairs(of_two, 12, generator))
+    assert np.bincount(rows[:, 2]).tolist() == [6, 6] and len(np.unique(rows[:, :2], axis=0)) == 12
+    full = np.array(draw_pairs(np.ones((4, 5, 2), bool), 20, generator))
+    assert np.bincount(full[:, 1] * 2 + full[:, 2]).tolist() == [2] * 10
 
 
 def test_the_seed_decides_everything(tmp_path):

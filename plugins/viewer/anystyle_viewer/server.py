@@ -67,7 +67,7 @@ def store_upload(folder: Path, name: str, content: bytes) -> Path:
     image = open_image(content, f"the image {stem}", longest=MAX_SIDE, masked=True)
     folder.mkdir(parents=True, exist_ok=True)
     digest, kept = hashlib.sha256(content).hexdigest()[:8], [title_of(file.name) for file in folder.glob("*.png")]
-    same = next(folder.glob(f"{stem}*-{digest}.png"), None)
+    same = next((f for f in folder.glob(f"*-{digest}.png") if re.fullmatch(rf"{stem}(-\d+)?", title_of(f.name))), None)
     target = same or folder / f"{distinct([*kept, stem], '-')[-1]}-{digest}.png"
     image.save(target)
     return target

@@ -117,6 +117,7 @@ def judge_scene(
     for index, comparison in enumerate(comparisons):
         style = comparison.styles[0] if comparison.styles else f"{index:02d}"
         for name, metric in [*metrics.items()]:
+            metric.compute_with_cache = False  # a scene of one style says its warnings below, where a style's are not
             metric.reset()
             try:
                 with _recorded_warnings(warned[name], name):

@@ -118,7 +118,8 @@ def read_unturned(path: Path, options: SplatOptions = _AS_IT_SAYS) -> StyledScen
     folders = [path] if isinstance(whole.style, str) else sorted(file.parent for file in path.glob("*/report.json"))
     titles = [whole.style] if isinstance(whole.style, str) else whole.style
     reports = {folder: report for folder in folders if (report := _report(folder)).style in titles}
-    names = dict(zip(reports, distinct([str(report.style) for report in reports.values()], " "), strict=True))
+    shown = distinct([UNSTYLED, *(str(report.style) for report in reports.values())], " ")[1:]
+    names = dict(zip(reports, shown, strict=True))
     styles = [(names[folder], read_gaussians(folder / "scene.safetensors")) for folder in reports]
     if not styles:
         raise UserError(f"{path / 'report.json'} lists results that are missing")

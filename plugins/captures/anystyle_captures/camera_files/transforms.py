@@ -35,7 +35,7 @@ class _Frame(msgspec.Struct):
     cx: float | None = None
     cy: float | None = None
     camera_angle_x: Annotated[float, msgspec.Meta(gt=0, lt=math.pi)] | None = None
-    camera_angle_y: Annotated[float, msgspec.Meta(gt=0, lt=math.pi)] | None = None
+    camera_angle_y: float | None = None
     k1: float | None = None
     k2: float | None = None
     k3: float | None = None
@@ -57,8 +57,8 @@ class _Frame(msgspec.Struct):
         if values["w"] is None or values["h"] is None:
             raise UserError("there is no w and h, the size of the images")
         width, height = int(values["w"]), int(values["h"])
-        focal = self.focal(width, height) or shared.focal(width, height)
-        if focal is None:
+        x, y = (own or other for own, other in zip(self.focal(width, height), shared.focal(width, height), strict=True))
+        if (focal := x or y) is None:
             raise UserError("there is no focal length: neither fl_x nor camera_angle_x")
         model = values["camera_model"] or "OPENCV"
         if model == "EQUIRECTANGULAR":
@@ -70,19 +70,17 @@ class _Frame(msgspec.Struct):
         cx, cy = values["cx"], values["cy"]
         center = width / 2 if cx is None else cx, height / 2 if cy is None else cy
         tangential = (0.0, 0.0) if fisheye else (p1, p2)
-        lens = Lens((height, width), focal, center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
+        lens = Lens((height, width), (x or focal, y or focal), center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
         rows = self.transform_matrix
         if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
             raise UserError(f"transform_matrix of {self.file_path[:80]!r} is not a 4x4 matrix")
         return camera(rigid(np.array(rows, np.float64)[:3] @ OPENCV_FROM_OPENGL, length=self.length()), lens)
 
-    def focal(self, width: int, height: int) -> tuple[float, float] | None:
-        """In pixels, of the lengths or else of the angles of view; one of them alone holds for both axes."""
+    def focal(self, width: int, height: int) -> list[float | None]:
+        """In pixels, of both axes, from the length or else the angle of view."""
         given = (self.fl_x, self.camera_angle_x, width), (self.fl_y, self.camera_angle_y, height)
-        found = [
-            length or 0.5 * side / math.tan(0.5 * (angle or 0)) for length, angle, side in given if length or angle
-        ]
-        return (found[0], found[-1]) if found else None
+        known = ((length, angle if angle and 0 < angle < math.pi else None, side) for length, angle, side in given)
+        return [length or (angle and 0.5 * side / math.tan(0.5 * angle)) for length, angle, side in known]
 
     def length(self) -> float:
         """The length of the axes of the camera; 1 if there is none."""

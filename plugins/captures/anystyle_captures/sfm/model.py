@@ -100,9 +100,8 @@ class SparseModel:
 
     @property
     def reaches_border(self) -> Bool[Array, " V"]:
-        """Whether the lens of a registered view sees up to the nearest border: of a barrel, pixels end at a radius."""
-        focal, x, y, radial = self.lenses.T
-        return -27 * radial * np.square(np.minimum(x, y) / focal) <= 4
+        """Whether the lens of a registered view sees up to the nearest border: a barrel's radii end at 2 / sqrt(-27 k)."""
+        return -27 * self.lenses[:, 3] * np.square(self.lenses[:, 1:3].min(1) / self.lenses[:, 0]) <= 4
 
     def reordered(self, order: Sequence[int]) -> "SparseModel":
         """The same model, where view ``i`` becomes view ``order[i]``."""

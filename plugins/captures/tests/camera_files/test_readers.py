@@ -150,6 +150,7 @@ def test_models_are_found_where_programs_put_them(tmp_path, place):
     ("shared", "own", "height", "angle"),
     [
         ({"camera_angle_x": 1.0, "camera_angle_y": 0.7}, {}, 24, (1.0, 0.7)),
+        ({"camera_angle_y": 0.7}, {"fl_x": 32.0}, 24, (np.pi / 2, 0.7)),
         ({"fl_x": 50.0, "fl_y": 40.0}, {"camera_angle_x": 1.2, "camera_angle_y": 0.9}, 24, (1.2, 0.9)),
         ({"fl_x": 50.0, "is_fisheye": False}, {"camera_angle_x": 1.2, "k1": 0.1, "is_fisheye": True}, 32, (1.2, 1.2)),
     ],
