@@ -100,7 +100,7 @@ class SparseModel:
 
     @property
     def reaches_border(self) -> Bool[Array, " V"]:
-        """Whether the lens of a registered view sees up to the nearest border: a barrel's radii end at 2 / sqrt(-27 k)."""
+        """Whether the lens of a registered view sees the nearest border: radii of a barrel end at 2 / sqrt(-27 k)."""
         return -27 * self.lenses[:, 3] * np.square(self.lenses[:, 1:3].min(1) / self.lenses[:, 0]) <= 4
 
     def reordered(self, order: Sequence[int]) -> "SparseModel":
