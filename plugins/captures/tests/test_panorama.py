@@ -145,7 +145,7 @@ def test_a_film_of_panoramas_fits_as_well_as_pinhole_pictures_from_known_places(
     exact = torch.stack([torch.from_numpy(np.array(picture)).permute(2, 0, 1) / 255 for picture in exact])
     placed = similarity_of_cameras(torch.from_numpy(known), cameras.world_from_camera[0].double())
     truth = replace(cameras, world_from_camera=placed.poses(torch.from_numpy(known)).float()[None])
-    options = {"num_gaussians": 6000, "options": FitOptions(num_steps=250, final_steps=0)}
+    options = {"num_gaussians": 6000, "options": FitOptions(num_steps=350, final_steps=0)}
     options |= {"heldout": held_out([[view] for view in range(35)], 5, cameras), "points": posed.points}
     assert options["heldout"] == tuple(range(14, 21))
     given = (images, cameras), (exact, truth)
