@@ -75,7 +75,8 @@ class Responses:
     @property
     def item_titles(self) -> tuple[str, ...]:
         """Display names of the items: scene and style where both are known."""
-        return tuple(map(", ".join, zip(self.item_scenes, self.item_styles, strict=False))) or self.item_names
+        known = self.item_scenes and self.item_styles
+        return tuple(map(", ".join, zip(self.item_scenes, self.item_styles, strict=True))) if known else self.item_names
 
     @property
     def factors(self) -> dict[Population, Int[np.ndarray, " N"]]:

@@ -223,8 +223,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         titles = (NO_STYLE, *(title_of(style) for style in self.session.styles()))
         if self.second.options != titles:
             self.second.options = titles
-            second = title_of(self.session.wanted.second)
-            self.second.value = second if second in titles else NO_STYLE
+            self.second.value = next((one for one in titles if one == title_of(self.session.wanted.second)), NO_STYLE)
 
     def _render_thumbnail(self, style: str, gaussians: Gaussians) -> None:
         self._thumbnails[style] = data_url(to_pil(self.path.thumbnail(gaussians, THUMBNAIL_HEIGHT)))
