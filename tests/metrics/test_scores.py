@@ -155,7 +155,7 @@ def test_few_images_are_warned_of():
     metric.style = [*metric.stylized]
     metric.update(pictures())
     metric.style[1:] = metric.stylized[1:]
-    with pytest.warns(UserWarning, match="12 images .*the line through it leads below 0"):
+    with pytest.warns(UserWarning, match="12 images .*extrapolated it is below 0, hence nan"):
         assert metric.compute()["art_fid"].isnan()
 
 

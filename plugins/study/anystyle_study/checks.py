@@ -162,7 +162,7 @@ def _check_attention(
 ) -> None:
     """Checks have a given answer, ask to prefer the intact side, or must not reverse the first preference.
 
-    Of ratings the degraded side's is not above the intact one's, which is ``ours``.
+    In ratings the degraded side must not be rated above the intact one, which is ``ours``.
     """
     first = {(answer.participant, answer.item, answer.question): answer for answer in main}
     of_sides = {answer.cell: answer.score for answer in answers if answer.check == "degraded"}

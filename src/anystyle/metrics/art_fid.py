@@ -28,7 +28,7 @@ class ArtFID(NetworkMetric):
         variant: ``reference``: 8 bits, the shorter side 512 for both networks, and ``fid_infinity`` from samples of
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
-            these are fewer than features, and ``nan`` where a line through so few leads below 0.
+            these are fewer than features, and ``nan`` where so few extrapolate to less than 0.
         weights: ``auto`` falls back to ST-LPIPS (``st_lpips``) or a stand-in, with a warning, where the published ones
             are missing.
 
@@ -95,7 +95,7 @@ class ArtFID(NetworkMetric):
         if not self.rounded and num_images < dim:
             few = f"{num_images} images are fewer than the {dim} features; FID is biased upwards, see kid"
             if fid_infinity < -1e-3:
-                fid_infinity, few = torch.full_like(fid, float("nan")), f"{few}, and the line through it leads below 0"
+                fid_infinity, few = torch.full_like(fid, float("nan")), f"{few}; extrapolated it is below 0, hence nan"
             warnings.warn(f"art_fid: {few}", stacklevel=2)
         art_fid = (1 + distance) * (1 + fid_infinity)
         scores = {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float()}
