@@ -46,6 +46,7 @@ def same(one, other, tolerance: float) -> None:
 @pytest.mark.slow
 def test_two_processes_that_are_killed_go_on_and_end_where_one_does(tmp_path):
     words = (*TOY, "styles.num_styles=6", "trainer.max_steps=20", "checkpoint.every_steps=4")
+    words = (*words, "training.learning_rate=0.0001")  # Adam makes steps of what rounding leaves of tiny gradients
     out, both = tmp_path / "two", (*words, "trainer.strategy=ddp")
     processes = together(2, both, out)
     wait_for(out, 4, processes[0])
@@ -53,7 +54,8 @@ def test_two_processes_that_are_killed_go_on_and_end_where_one_does(tmp_path):
         process.kill()
         process.join()
     assert 4 <= steps(out) < 20
-    finish(*together(2, both, out))
+    finish(*together(2, both, out), *together(2, both, tmp_path / "whole"))
+    same(branch(tmp_path / "whole"), branch(out), 0)
     train(configuration(words, tmp_path / "one"), tmp_path / "one")
     same(branch(tmp_path / "one"), branch(out), 1e-5)
 
@@ -101,7 +103,5 @@ def test_a_full_disk_keeps_the_last_good_checkpoint_and_says_so_in_one_line(tmp_
     told = [line for line in said(tmp_path).splitlines() if line.startswith("anystyle: error:")]
     assert len(told) == 1 and "Traceback" not in said(tmp_path)
     assert "the checkpoint of step 4 cannot be written" in told[0] and "the last one stays" in told[0], told
-    finish(start(more, tmp_path))
-    finish(start((*words, "training.decay_steps=4"), tmp_path / "whole"))
-    one, two = branch(tmp_path), branch(tmp_path / "whole")
-    assert all(torch.equal(one[key], two[key]) for key in one)
+    finish(start(more, tmp_path), start((*words, "training.decay_steps=4"), tmp_path / "whole"))
+    same(branch(tmp_path), branch(tmp_path / "whole"), 0)

@@ -73,10 +73,10 @@ def check_options(config: DictConfig) -> None:
         except ValueError as error:
             raise UserError(f"{key}={value}: {error}") from None
     trainer, precision = config.trainer, str(config.trainer.precision)
-    if trainer.accelerator == "cpu" and precision.startswith("16"):
+    if precision.endswith(("16-true", "64-true")) or (trainer.accelerator == "cpu" and precision.startswith("16")):
         raise UserError(
-            f"trainer.precision={precision} on trainer.accelerator=cpu: half precision needs a graphics card; use "
-            f"bf16-mixed or 32-true"
+            f"trainer.precision={precision} on trainer.accelerator={trainer.accelerator}: weights are trained in single "
+            f"precision; use bf16-mixed, 32-true or, on a graphics card, 16-mixed"
         )
 
 
