@@ -92,15 +92,12 @@ def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:
         if len(found) == before:
             raise UserError(f"{' and '.join(pair)} have no score in the same cell; leave one of them out")
     adjusted = holm([as_number(one.pvalue) for one in found])
-    return [
-        _decided(one, pvalue, figures.metrics[one.figure].better) for one, pvalue in zip(found, adjusted, strict=True)
-    ]
-
-
-def _decided(one: Compared, adjusted: float, better: str) -> Compared:
-    ahead = (as_number(one.difference) > 0) == (better == "higher")
-    name = (one.first if ahead else one.second) if adjusted <= 1 - CONFIDENCE else ""
-    return msgspec.structs.replace(one, holm=stored_number(adjusted), better=name)
+    decided: list[Compared] = []
+    for one, pvalue in zip(found, adjusted, strict=True):
+        ahead = (as_number(one.difference) > 0) == (figures.metrics[one.figure].better == "higher")
+        name = (one.first if ahead else one.second) if pvalue <= 1 - CONFIDENCE else ""
+        decided.append(msgspec.structs.replace(one, holm=stored_number(pvalue), better=name))
+    return decided
 
 
 def sentences(found: Sequence[Compared]) -> list[str]:

@@ -4,6 +4,7 @@ Figures are cached in ``RESULTS/.judged`` by the hashes of the images: only what
 a single style belong to its cell; those of all styles of a scene, such as a distance of distributions, to the scene.
 """
 
+import hashlib
 import logging
 import math
 import multiprocessing
@@ -51,7 +52,6 @@ from anystyle_benchmark.results import (
     SceneFigures,
     TableRow,
     digest,
-    images_hash,
     read_lock,
     wrong_images,
 )
@@ -189,7 +189,8 @@ class Judge:
             if status == "done" and (wrong := wrong_images(cell.images(self.root), scene.views, size)):
                 status, message = "failed", wrong[0]
             elif status == "done":
-                images[style.name] = images_hash(cell, self.root, scene.views)
+                files = [cell.images(self.root) / f"{view}.png" for view in scene.views]
+                images[style.name] = digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
             taken = record.seconds, record.scene_seconds, record.memory
             origins[record.origin.key] = record.origin
             made = {"images": images.get(style.name, ""), "origin": record.origin.key}

@@ -273,12 +273,6 @@ def is_done(cell: Cell, root: Path) -> bool:
     return record is not None and record.status == "done" and cell.images(root).is_dir()
 
 
-def images_hash(cell: Cell, root: Path, views: Sequence[str]) -> str:
-    """A hash of the files of a cell's images."""
-    files = [cell.images(root) / f"{view}.png" for view in views]
-    return digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files])
-
-
 def digest(value: object) -> str:
     """A hash of a value that JSON can hold."""
     return hashlib.sha256(msgspec.json.encode(value)).hexdigest()

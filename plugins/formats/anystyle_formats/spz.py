@@ -69,7 +69,9 @@ class Spz(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SPZ file") as remarks:
             data = path.read_bytes()
-            scene, up = decoded(data, remarks).marked(bool(_flags(data) & 1)), _stated_up(data) or self.up
+            flags = (data if data.startswith(_START) else gzip.GzipFile(fileobj=io.BytesIO(data)).read(16))[14]
+            # Bit 0: trained with antialiasing. Bit 1: there are extensions.
+            scene, up = decoded(data, remarks).marked(bool(flags & 1)), _stated_up(data) or self.up
         return StyledScene(((path.stem, scene),), up=up)
 
 
@@ -98,11 +100,6 @@ def _tell_cut(path: Path, harmonics: NDArray[np.float64], scales: NDArray[np.flo
     told = ", ".join(f"{what} of {rows.sum():,}" for what, rows in cut.items() if rows.any())
     if told:
         _log.warning("%s: of %s Gaussians, what SPZ cannot hold is cut: %s", final(path), f"{len(scales):,}", told)
-
-
-def _flags(data: bytes) -> int:
-    """Bit 0: trained with antialiasing. Bit 1: there are extensions."""
-    return (data if data.startswith(_START) else gzip.GzipFile(fileobj=io.BytesIO(data)).read(16))[14]
 
 
 def _stated_up(data: bytes) -> str | None:

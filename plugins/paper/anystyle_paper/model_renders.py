@@ -90,9 +90,8 @@ class ModelRenders(Protocol):
         )
         pairing.require()
         evaluation = judge_pairing(self.metrics, pairing, on_progress)
-        files = [[seconds_file(images / "stylized" / scene, style) for style in self.planned_styles]
-                 for scene in self.planned_scenes]  # fmt: skip
-        seconds = np.array([[read_seconds(file) for file in row] for row in files])  # S T
+        scenes = [images / "stylized" / scene for scene in self.planned_scenes]
+        seconds = np.array([[read_seconds(seconds_file(at, style)) for style in self.planned_styles] for at in scenes])
         num_inputs = np.array([self._num_inputs(index) for index in self.planned_scenes.values()])
         return replace(evaluation, times={"time_s": float((seconds / num_inputs[:, None]).mean())}).with_facts(
             variant=self.variant,
@@ -110,20 +109,19 @@ class ModelRenders(Protocol):
         for name, index in self.planned_styles.items():
             path = images / "style" / f"{name}{self.suffix}"
             image = self._style(index)[0][0]
-            if not path.is_file():
+            if path.is_file():
+                refuse_other(path, image, self.variant, f"style {name}")
+            else:
                 write_picture(path, image, self.variant)
-            # As it would be written now, for JPEG takes small patterns away.
-            with TemporaryDirectory() as folder:
-                write_picture(made := Path(folder) / path.name, image, self.variant)
-                before, now = (adaptive_avg_pool2d(read(each), 16) for each in (path, made))
-            if (before - now).abs().mean() > 0.02:  # other releases of JPEG round otherwise
-                raise UserError(f"style {name} is no longer the picture of the renders in {images}; give another --out")
         for scene_name, number in self.planned_scenes.items():
             folder = images / "stylized" / scene_name
             frames = [f"{index:03d}" for index in range(min(self._num_inputs(number), self.frames))]
             photographs = [images / "content" / scene_name / f"{frame}{self.suffix}" for frame in frames]
             depth = [images / "depth" / scene_name / name for name in (*(f"{frame}.npy" for frame in frames), CAMERAS)]
             whole = all(path.is_file() for path in (*photographs, *depth))
+            if whole:
+                for path, image in zip(photographs, self._inputs(number, len(frames)).images[0], strict=True):
+                    refuse_other(path, image, self.variant, f"photograph {path.stem} of {scene_name}")
             missing: list[str] = []
             for name in self.planned_styles:
                 files = seconds_file(folder, name), *(folder / f"{name}_{frame}{self.suffix}" for frame in frames)
@@ -144,9 +142,7 @@ class ModelRenders(Protocol):
     @torch.no_grad()
     def _encode(self, number: int) -> tuple[Scene, float]:
         """A scene as the model encodes it, and the seconds that took."""
-        views = self.scenes.read(number, range(self._num_inputs(number)))
-        if self.square:
-            views = middle_square(views)
+        views = self._inputs(number, self._num_inputs(number))
         patch, (height, width) = self.stylizer.backbone.patch_size, views.size
         if height % patch or width % patch:
             given = f"the views of {self.scenes.name(number)} are {width}x{height} pixels"
@@ -177,14 +173,12 @@ class ModelRenders(Protocol):
     def _stylize(self, scene: Scene, frames: list[str], folder: Path, name: str) -> float:
         """Write the renders of a scene in a style; return the seconds they took, without those of writing."""
         image, style = self._style(self.planned_styles[name])
-        device = self.stylizer.device
-        start = time.perf_counter()
-        by_text = self.guide == "text"
-        embedding = self.stylizer.embed(text=style.text) if by_text else self.stylizer.embed(image=image.to(device))
-        gaussians = self.method(self.stylizer, scene, style.to(device), embedding)
+        start, model = time.perf_counter(), self.stylizer
+        embedding = model.embed(text=style.text) if self.guide == "text" else model.embed(image=image.to(model.device))
+        gaussians = self.method(model, scene, style.to(model.device), embedding)
         renders: list[Tensor] = []
         for chunk in torch.arange(len(frames)).split(4):  # so many at once, for memory
-            renders.extend(self.stylizer.render(gaussians, scene.cameras.select(chunk.tolist())).color[0].cpu())
+            renders.extend(model.render(gaussians, scene.cameras.select(chunk.tolist())).color[0].cpu())
         seconds = time.perf_counter() - start
         for frame, render in zip(frames, renders, strict=True):
             if not bool(render.isfinite().all()):
@@ -200,6 +194,11 @@ class ModelRenders(Protocol):
         if self.guide == "text" and not (style.text and style.text[0].strip()):
             raise UserError(f"style {index} has no text; give captions to all styles, or use protocol.guide=image")
         return style.image, style
+
+    def _inputs(self, number: int, count: int) -> Views:
+        """The first views of a scene, as the model sees them."""
+        views = self.scenes.read(number, range(count))
+        return middle_square(views) if self.square else views
 
     def _num_inputs(self, number: int) -> int:
         """How many views of a scene the model sees."""
@@ -229,6 +228,15 @@ def write_picture(path: Path, image: Float[Tensor, "3 H W"], variant: Variant) -
     picture = Image.fromarray(np.ascontiguousarray(values.byte().permute(1, 2, 0).cpu().numpy()))
     with atomic_path(path) as temporary:
         picture.save(temporary, **({"quality": 75, "subsampling": "4:2:0"} if variant == "reference" else {}))
+
+
+def refuse_other(path: Path, image: Float[Tensor, "3 H W"], variant: Variant, what: str) -> None:
+    """Raise a UserError if a stored picture is another than an image as it would be written now."""
+    with TemporaryDirectory() as folder:  # for JPEG takes small patterns away
+        write_picture(made := Path(folder) / path.name, image, variant)
+        before, now = (adaptive_avg_pool2d(read(each), 16) for each in (path, made))
+    if (before - now).abs().mean() > 0.02:  # other releases of JPEG round otherwise
+        raise UserError(f"{what} is no longer the picture that was judged, {path}; give another --out")
 
 
 def middle_square(views: Views) -> Views:

@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 
 from anystyle.contracts import StyleSource
+from anystyle.errors import UserError
 from anystyle.testing.inputs import images
 from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.scenes import ToyScenes
@@ -37,13 +38,14 @@ def test_what_is_written_and_judged(parts, tmp_path):
     assert stems(kept / "content" / "wall_0000") == ["000.jpg", "001.jpg"]
     assert stems(kept / "style") == ["00.jpg", "01.jpg", "02.jpg"]
     assert stems(kept / "depth" / "wall_0000") == ["000.npy", "001.npy", "cameras.npz"]
-    assert found.n == 2 * 3 * 2
+    assert (found.n, found.provenance["variant"]) == (12, "reference") and "input images" in found.provenance["time_s"]
     assert [(row.scene, row.style) for row in found.rows][:2] == [("wall_0000", "00"), ("wall_0000", "01")]
-    assert found.provenance["variant"] == "reference"
     # The reference shows the model all four views, of which two are judged.
     assert found.times["time_s"] == pytest.approx(found.provenance["seconds_a_style"] / 4)
-    assert "input images" in found.provenance["time_s"]
     assert found.rows[0].pictures["result"] == kept / "stylized" / "wall_0000" / "00_001.jpg"
+    (kept / "content" / "wall_0001" / "001.jpg").write_bytes((kept / "style" / "00.jpg").read_bytes())
+    with pytest.raises(UserError, match="photograph 001 of wall_0001 is no longer the picture that was judged"):
+        Paper(**parts, num_styles=3, frames=2).run(tmp_path, no_progress)
 
 
 def test_scenes_whose_names_differ_in_a_slash_stay_apart(parts):
