@@ -57,8 +57,11 @@ class _Timeline(NamedTuple):
     pixel_aspect: float
 
     def part(self, number: int, time: int | None, count: int) -> int:
-        """Which of ``count`` parts of equal length a frame lies in; by its number where the video has no times."""
-        if time is None or self.end <= self.start:
+        """Which of ``count`` parts of equal length a frame lies in; each has its own where there are no more frames.
+
+        Where the video has no times, its number decides.
+        """
+        if time is None or self.end <= self.start or self.frames <= count:
             return min(number * count // max(self.frames, 1), count - 1)
         length = self.end - self.start
         # Containers round the times of frames, to milliseconds in Matroska: a frame at a border belongs behind it.
@@ -69,7 +72,7 @@ class _Timeline(NamedTuple):
 def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     """Numbers and upright 8-bit RGB images of frames: of ``count`` parts of equal seconds the sharpest of each.
 
-    Phones vary the rate of frames.
+    Phones vary the rate of frames. A video of no more frames is read whole.
     """
     regular(path, most=None, what="video")
     try:
