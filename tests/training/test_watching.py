@@ -88,9 +88,10 @@ def test_a_branch_is_validated_on_scenes_of_its_own_by_the_same_draws(tmp_path):
         ("+callbacks.early_stoping.patience=2", "no callback is named 'early_stoping'. Did you mean 'early_stopping'?"),
     ],
 )
-def test_a_value_that_nothing_would_log_is_refused(tmp_path, word, answer):
+def test_a_value_that_nothing_would_log_is_refused(tmp_path, caplog, word, answer):
     with pytest.raises(UserError, match=answer.replace("?", r"\?")):
         train(configuration((*RECONSTRUCTION, *VALIDATED, "checkpoint.best=val/loss", word), tmp_path), tmp_path)
+    assert ("the run has 6 batches and is never validated" in caplog.text) == ("interval=7" in word)
 
 
 @pytest.mark.parametrize(

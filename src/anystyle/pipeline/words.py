@@ -43,8 +43,9 @@ def request(args: Sequence[str]) -> Request:
 
 def request_of(arguments: argparse.Namespace, overrides: Sequence[str], composed: DictConfig | None = None) -> Request:
     """The request of what :func:`parsed` returns, with the configuration where Hydra has composed it already."""
-    styles, controls = _styles_of(arguments), tuple(_controls_of(arguments))
-    return Request(inputs_of(arguments.inputs), styles, controls, tuple(overrides), composed)
+    numbers = (_numbers(flag, getattr(arguments, flag)) for flag in NUMBERS)
+    controls = tuple(combinations(*numbers, mask=[_mask(word) for word in arguments.mask]))
+    return Request(inputs_of(arguments.inputs), _styles_of(arguments), controls, tuple(overrides), composed)
 
 
 def args_of(request: Request) -> list[str]:
@@ -108,12 +109,6 @@ def _mask(word: str) -> Mask:
     from anystyle.pipeline.masks import parsed
 
     return parsed(word)
-
-
-def _controls_of(arguments: argparse.Namespace) -> list[Controls]:
-    """Every combination of the values of the flags."""
-    numbers = (_numbers(flag, getattr(arguments, flag)) for flag in NUMBERS)
-    return combinations(*numbers, mask=[_mask(word) for word in arguments.mask])
 
 
 def _numbers(flag: str, words: Sequence[str]) -> list[float]:

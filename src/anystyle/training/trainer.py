@@ -1,5 +1,6 @@
 """The Lightning trainer of a configuration: the ranges of its options, its callbacks and its loggers."""
 
+import logging
 import sys
 import typing
 from collections.abc import Callable, Mapping, Sequence
@@ -74,10 +75,12 @@ def check_options(config: DictConfig) -> None:
             raise UserError(f"{key}={value}: {error}") from None
     trainer, precision = config.trainer, str(config.trainer.precision)
     if precision.endswith(("16-true", "64-true")) or (trainer.accelerator == "cpu" and precision.startswith("16")):
-        raise UserError(
-            f"trainer.precision={precision} on trainer.accelerator={trainer.accelerator}: weights are trained in single "
-            f"precision; use bf16-mixed, 32-true or, on a graphics card, 16-mixed"
-        )
+        given = f"trainer.precision={precision} on trainer.accelerator={trainer.accelerator}"
+        raise UserError(f"{given}: weights have single precision; use bf16-mixed, 32-true or, on a card, 16-mixed")
+    batches, validated = trainer.max_steps * (trainer.accumulate_grad_batches or 1), config.validation_steps
+    if validated and trainer.val_check_interval > batches and (config.validation_scenes or config.validation_styles):
+        told = "trainer.val_check_interval=%d: the run has %d batches and is never validated"
+        logging.getLogger(__name__).warning(told, trainer.val_check_interval, batches)
 
 
 def make_trainer(config: DictConfig, out: Path, guard: FiniteLoss, callbacks: list[pl.Callback]) -> pl.Trainer:
