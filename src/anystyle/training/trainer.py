@@ -77,8 +77,9 @@ def check_options(config: DictConfig) -> None:
     if precision.endswith(("16-true", "64-true")) or (trainer.accelerator == "cpu" and precision.startswith("16")):
         given = f"trainer.precision={precision} on trainer.accelerator={trainer.accelerator}"
         raise UserError(f"{given}: weights have single precision; use bf16-mixed, 32-true or, on a card, 16-mixed")
-    batches, validated = trainer.max_steps * (trainer.accumulate_grad_batches or 1), config.validation_steps
-    if validated and trainer.val_check_interval > batches and (config.validation_scenes or config.validation_styles):
+    batches = trainer.max_steps * (trainer.accumulate_grad_batches or 1)
+    validated = config.validation_steps and any(map(config.get, ("validation_scenes", "validation_styles")))
+    if validated and trainer.val_check_interval > batches:
         told = "trainer.val_check_interval=%d: the run has %d batches and is never validated"
         logging.getLogger(__name__).warning(told, trainer.val_check_interval, batches)
 
