@@ -193,8 +193,7 @@ def test_help_lists_every_command_that_exists():
 )
 def test_mistakes_are_one_line(words, told):
     done = call(*words)
-    assert done.returncode == 2
-    assert done.stdout == ""
+    assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith(f"anystyle: error: {told}")
     assert done.stderr.count("\n") == 1
 
@@ -274,8 +273,7 @@ def test_a_command_runs_with_flags_and_overrides(command):
 def test_a_command_fails_in_one_line(command, words, told):
     status, _, err = command(*words)
     assert status == 2
-    assert err.startswith(f"anystyle: error: {told}")
-    assert err.count("\n") == 1
+    assert err.startswith(f"anystyle: error: {told}") and err.count("\n") == 1
 
 
 def test_a_bug_is_raised_as_it_is(command):

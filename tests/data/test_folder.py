@@ -80,8 +80,7 @@ def test_different_sizes_and_a_bad_file_among_good_ones(tmp_path, caplog):
     (tmp_path / "d.jpg").write_text("nonsense")
     with caplog.at_level(logging.WARNING):
         views, sources = read(tmp_path)
-    assert views.images.shape == (1, 3, 3, 32, 40)
-    assert "d.jpg" in caplog.text
+    assert views.images.shape == (1, 3, 3, 32, 40) and "d.jpg" in caplog.text
     assert sources[2].size == (90, 30)
 
 
@@ -91,8 +90,7 @@ def test_intrinsics_map_back_to_the_pixels_of_a_large_upright_source(tmp_path):
     exif[0x0112] = 6
     Image.new("RGB", (8000, 6400), (9, 99, 199)).save(tmp_path / "a.jpg", exif=exif)
     views, (source,) = read(tmp_path)
-    assert views.size == (40, 32)
-    assert source.size == (8000, 6400)
+    assert views.size == (40, 32) and source.size == (8000, 6400)
     lens = source.source_intrinsics(torch.tensor([[30.0, 0, 16], [0, 30, 20], [0, 0, 1]]))
     torch.testing.assert_close(lens, torch.tensor([[6000.0, 0, 3200], [0, 6000, 4000], [0, 0, 1]]))
     torch.testing.assert_close(source.view_intrinsics(lens), torch.tensor([[30.0, 0, 16], [0, 30, 20], [0, 0, 1]]))

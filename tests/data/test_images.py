@@ -160,8 +160,7 @@ def test_a_damaged_file_reads_or_is_refused_in_one_line_that_names_it(tmp_path, 
     except ValueError as error:
         assert str(path) in str(error) and "\n" not in str(error)
     else:
-        assert picture.mode == "RGB"
-        assert picture.width * picture.height <= MAX_PIXELS
+        assert picture.mode == "RGB" and picture.width * picture.height <= MAX_PIXELS
 
 
 def test_the_transparency_of_a_painting_is_a_mask(tmp_path):
@@ -220,8 +219,7 @@ def test_decoders_register_before_threads_open_pictures(tmp_path, monkeypatch):
     paths = [tmp_path / f"{number}.png" for number in range(16)]
     for path in paths:
         Image.new("RGB", (8, 8)).save(path)
-    assert readable(paths) == paths
-    assert registered == [threading.main_thread()]
+    assert readable(paths) == paths and registered == [threading.main_thread()]
 
 
 def test_threads_that_open_pictures_leave_the_filters_of_warnings(tmp_path):

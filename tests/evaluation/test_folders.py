@@ -22,8 +22,7 @@ def test_scenes_styles_and_frames(tmp_path):
     cell = pairing.cells[2]
     assert cell.frames == tuple(f"{frame:03d}" for frame in range(11))
     assert [path.name for path in cell.content] == [f"{frame:03d}.png" for frame in range(11)]
-    assert cell.reference.name == "a.png"
-    assert pairing.lacking() == ""
+    assert cell.reference.name == "a.png" and pairing.lacking() == ""
     read = Reader()(cell)
     assert read.content.shape == read.stylized.shape == (1, 11, 3, 8, 12)
     torch.testing.assert_close(read.stylized[0, :, 0, 0, 0] * 255, 60.0 + torch.arange(11.0))

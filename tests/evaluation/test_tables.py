@@ -74,8 +74,7 @@ def test_markdown_is_a_table_whatever_the_words():
     assert title == "**Title**"
     assert [len(line) for line in lines[:4]] == [len(lines[0])] * 4
     assert lines[0] == r"| a\|b      | c   |" and lines[2].startswith("| x y ")
-    assert lines[1] == "|-----------|----:|"
-    assert lines[-1] == "note"
+    assert lines[1] == "|-----------|----:|" and lines[-1] == "note"
 
 
 def test_latex_escapes_what_would_be_commands():

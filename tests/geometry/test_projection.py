@@ -35,8 +35,7 @@ def linear_conic(point: Tensor, shape: Tensor, intrinsics: Tensor) -> Tensor:
 def test_splats_are_the_linear_image() -> None:
     """In the frustum, the covariance goes through the Jacobian of the pinhole camera at the centre."""
     splats, local, shapes, _, intrinsics = projected(distance=3.0)
-    assert len(splats.index) > 200
-    assert (splats.depths.diff() >= 0).all()
+    assert len(splats.index) > 200 and (splats.depths.diff() >= 0).all()
     torch.testing.assert_close(splats.depths, local[:, 2])
     torch.testing.assert_close(splats.means, torch.stack([pinhole(point, intrinsics) for point in local]))
     for conic, point, shape in zip(splats.conics, local, shapes, strict=True):

@@ -33,8 +33,7 @@ def test_the_zero_quaternion_is_the_identity() -> None:
     matrix = matrix_from_wxyz(quaternion)
     assert torch.equal(matrix, torch.eye(3))
     matrix.sum().backward()
-    assert quaternion.grad is not None
-    assert quaternion.grad.isfinite().all()
+    assert quaternion.grad is not None and quaternion.grad.isfinite().all()
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-8, 1e-4, 1.0, np.pi - 1e-8, np.pi])

@@ -119,8 +119,7 @@ def test_identity_at_birth_in_every_precision(cls, dtype):
     tokens = _tokens().to(dtype)
     tokens = tokens.with_data(tokens.data * torch.logspace(-4, 2, DIM, dtype=torch.float64).to(dtype))
     result = injector(tokens, 10 * _style().to(dtype))
-    assert result.data.dtype == dtype
-    assert torch.equal(result.data, tokens.data)
+    assert result.data.dtype == dtype and torch.equal(result.data, tokens.data)
 
 
 def test_token_attention_is_softmax_over_the_style_tokens():

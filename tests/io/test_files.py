@@ -17,8 +17,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     with pytest.raises(RuntimeError), atomic_path(target) as temporary:
         temporary.write_text("half")
         raise RuntimeError
-    assert target.read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt"]
+    assert target.read_text() == "old" and [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+    with pytest.raises(UserError, match="is a folder; name a file"), atomic_path(tmp_path):
+        raise AssertionError("before anything is made for it")
 
 
 def test_a_directory_appears_whole_and_replaces_what_it_names(tmp_path):
@@ -107,8 +108,7 @@ def test_a_terminated_command_deletes_what_it_began(tmp_path):
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
         process.send_signal(signal.SIGTERM)
         assert process.communicate(timeout=60)[1] == "anystyle: terminated\n"
-    assert process.returncode == 143
-    assert list(tmp_path.iterdir()) == []
+    assert process.returncode == 143 and list(tmp_path.iterdir()) == []
 
 
 def test_an_error_about_a_program_that_exits_is_an_error(capsys):

@@ -134,8 +134,7 @@ def test_corners_move_inwards_by_at_most_the_distortion() -> None:
     corners = random_corners(2000, 64, 0.5, torch.Generator().manual_seed(0))
     own = torch.tensor([[0.0, 0], [63, 0], [63, 63], [0, 63]])
     inwards = (corners - own) * torch.tensor([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
-    assert inwards.min() == 0
-    assert inwards.max() == 16
+    assert inwards.min() == 0 and inwards.max() == 16
     # Uniform over the 17 whole numbers: standard error of the mean 0.11 at 2000 draws.
     torch.testing.assert_close(inwards.mean(0), torch.full((4, 2), 8.0), atol=0.5, rtol=0)
 
@@ -196,8 +195,7 @@ def test_crops_follow_the_global_generator_in_training_and_nothing_out_of_it() -
 
     first = values(1)
     assert first[0] != first[1]
-    assert values(1) == first
-    assert values(2) != first
+    assert values(1) == first and values(2) != first
     loss.eval()
     assert len({*values(1), *values(2)}) == 1
 

@@ -91,8 +91,7 @@ def test_brings_back_the_colors_of_its_own_renders():
     for steps in (0, 2, 8, 60):
         result = fit_colors(colored(scene, torch.full((40, 3), 0.5)), views, targets, RENDERER, steps=steps)
         errors.append(float((RENDERER(result, views).color[0] - targets).square().mean()))
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 1e-6
+    assert errors == sorted(errors, reverse=True) and errors[-1] < 1e-6
 
 
 def test_what_no_view_sees_has_the_mean_color_of_its_neighbors():
@@ -185,8 +184,7 @@ def test_few_views_cover_a_scene():
     for share in (0.5, 0.9, 1.0):
         chosen = covering_views(scene, views, RENDERER, share=share, most=6)
         shown = (2 * pixels[chosen].amax(0)).minimum(largest).sum() / largest.sum()
-        assert shown >= share - 1e-5
-        assert chosen == sorted(set(chosen))
+        assert shown >= share - 1e-5 and chosen == sorted(set(chosen))
     first = covering_views(scene, views, RENDERER, share=1.0, most=1)
     assert first == [int((2 * pixels).minimum(largest).sum(1).argmax())]
     assert covering_views(scene, views.select([*range(6), *range(6)]), RENDERER, share=1.0, most=12) == chosen

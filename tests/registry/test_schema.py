@@ -115,8 +115,7 @@ def test_values_are_converted(everything, name, value, expected):
     literally = expected if name == "word" else value
     for source in (config, {"_target_": everything.path, name: literally}):
         result = build(Placement, source).given[name]
-        assert result == expected
-        assert type(result) is type(expected)
+        assert result == expected and type(result) is type(expected)
 
 
 @pytest.mark.parametrize(

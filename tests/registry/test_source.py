@@ -14,6 +14,7 @@ from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import VERSION_BASE, choices
+from anystyle.registry.compose import compose as compose_words
 from anystyle.registry.packages import arguments, groups
 from anystyle.registry.source import PluginSource, register
 from anystyle.registry.untrusted import check_saved
@@ -97,8 +98,7 @@ def test_a_saved_configuration_is_checked_before_anything_is_built(saved, messag
 
 def test_source_lists_the_catalog(composed):
     source = PluginSource("test", "anystyle://")
-    assert source.available()
-    assert source.list("", None) == source.list("", ObjectType.GROUP) == sorted(groups())
+    assert source.available() and source.list("", None) == source.list("", ObjectType.GROUP) == sorted(groups())
     assert set(KINDS) < set(groups())
     assert source.list("", ObjectType.CONFIG) == []
     assert set(catalog().names("placement")) <= set(source.list("placement", ObjectType.CONFIG))
@@ -140,6 +140,12 @@ def test_a_preset_of_two_packages_is_refused_when_chosen(composed, package):
         package("placement/shallow.yaml", f"defaults: [deep, _self_]\ndepth: {depth}\n")
     with pytest.raises(HydraException, match="placement=shallow is declared more than once"):
         composed("placement=shallow")
+
+
+def test_two_plugins_of_a_name_are_in_the_way_of_no_other(plugin_folder):
+    for _ in range(2):
+        plugin_folder(LOSSES, "loss", twin="One")
+    assert "content" in compose_words("train", ["experiment=tiny_ablation", "loss=[content]"]).loss
 
 
 def test_composed_configurations_can_be_written(composed):

@@ -38,9 +38,9 @@ class App(Command):
             raise MissingExtra('anystyle app needs Gradio; pip install "anystyle[app]"')
         try:  # Gradio would try a hundred ports, each for seconds
             socket.create_server((arguments.host, arguments.port or 0)).close()
-        except OSError as error:
-            port = arguments.port or "any"
-            raise UserError(f"cannot answer at {arguments.host}, port {port}: {error.strerror}") from error
+        except (OSError, OverflowError) as error:
+            port, why = arguments.port or "any", getattr(error, "strerror", error)
+            raise UserError(f"cannot answer at {arguments.host}, port {port}: {why}") from error
         from anystyle_app.making import Maker
         from anystyle_app.page import build, launch
 

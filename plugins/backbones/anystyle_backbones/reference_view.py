@@ -30,8 +30,10 @@ def reference_view(
             most similar, where rounding breaks the tie because self-similarity is set to 0; ``middle`` and ``first`` of
             the capture.
     """
-    if strategy == "central":
-        return _central(images)
+    if strategy == "central":  # the medoid of thumbnails; where two are as near, the darker one
+        small = F.adaptive_avg_pool2d(images.flatten(0, 1).float(), THUMBNAIL).flatten(1).unflatten(0, images.shape[:2])
+        distance = torch.cdist(small, small, compute_mode="donot_use_mm_for_euclid_dist")
+        return (distance.mean(-1) + 1e-3 * small.mean(-1)).argmin(-1)
     batch, views, _ = tokens.shape
     if views < LEAST_VIEWS or strategy == "first":
         return None
@@ -63,10 +65,3 @@ def reference_first(reference: Int[Tensor, " B"], views: int) -> Int[Tensor, "B 
 def in_order(data: Float[Tensor, "B V *rest"], order: Int[Tensor, "B V"]) -> Float[Tensor, "B V *rest"]:
     """The views in another order, scene by scene."""
     return data[torch.arange(len(data), device=data.device)[:, None], order]
-
-
-def _central(images: Float[Tensor, "B V 3 H W"]) -> Int[Tensor, " B"]:
-    """The medoid of the photographs, as thumbnails; where two are as near, the darker one."""
-    small = F.adaptive_avg_pool2d(images.flatten(0, 1).float(), THUMBNAIL).flatten(1).unflatten(0, images.shape[:2])
-    distance = torch.cdist(small, small, compute_mode="donot_use_mm_for_euclid_dist")
-    return (distance.mean(-1) + 1e-3 * small.mean(-1)).argmin(-1)

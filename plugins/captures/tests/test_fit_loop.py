@@ -183,5 +183,4 @@ def test_a_view_that_looks_past_the_photographs_sees_no_hole(photographs):
     with torch.no_grad():
         alpha = RENDERER(run.gaussians(), turned).alpha[0, 0]
         bare = RENDERER(fit(photographs, FitOptions(num_steps=1)).gaussians(), turned).alpha[0, 0]
-    assert bare.amin(0).min() < 0.05
-    assert alpha.quantile(0.02) > 0.99
+    assert bare.amin(0).min() < 0.05 and alpha.quantile(0.02) > 0.99

@@ -45,7 +45,8 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
     formats = catalog().names("format")
     if name not in formats:
         raise UserError(f"no format is named; give --to with one of {', '.join(formats)}")
-    if arguments.out.exists() and arguments.scene.exists() and arguments.out.samefile(arguments.scene):
+    result = arguments.out.name == "scene.ply" and (arguments.out.parent / "report.json").is_file()
+    if result or (arguments.out.exists() and arguments.scene.exists() and arguments.out.samefile(arguments.scene)):
         raise UserError(f"{arguments.out} is the scene itself; name another file with --out")
     if (arguments.scene / "report.json").is_file() and (arguments.from_up or overrides):
         raise UserError(

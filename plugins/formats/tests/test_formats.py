@@ -207,6 +207,9 @@ def test_the_command_merges_gaussians_and_says_so(tmp_path, caplog):
     assert psnr(picture(Gaussians.load(tmp_path / "few.ply")), picture(scene())) > 80
     with pytest.raises(UserError, match="max_gaussians"):
         command.export(*split(command.parser(), [*words, "0"]))
+    (tmp_path / "report.json").touch()
+    with pytest.raises(UserError, match="is the scene itself"):
+        command.export(*split(command.parser(), [str(tmp_path / "few.ply"), "--out", str(tmp_path / "scene.ply")]))
 
 
 def test_the_command_converts_a_file_and_refuses_what_makes_no_sense(tmp_path, capsys):

@@ -83,8 +83,7 @@ def test_published_files_are_loaded_and_named(tmp_path, monkeypatch):
     loaded, source = dino.load("dino_vits16", "published")
     images = smooth_image(2, [1, 3, 64, 112])
     torch.testing.assert_close(loaded.maps(images), network.eval().maps(images))
-    assert loaded.maps(images).shape == (1, 384, 4, 7)
-    assert source.stand_in is None
+    assert loaded.maps(images).shape == (1, 384, 4, 7) and source.stand_in is None
     metric = Met3rDepth(weights="published")
     assert metric.stand_ins == {} and list(metric.weights) == ["dino_deitsmall16_pretrain.pth"]
     assert StructureDistance().stand_ins == {"structure_distance": "efficientnet_lite0"}

@@ -1,6 +1,7 @@
 """Runs side by side, in the layout of the paper's tables: a row for each variant, columns of scores."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -123,9 +124,9 @@ def _title(run: Run, common: set[str]) -> str:
         return run.folder.resolve().name
     if len(own) > 1:
         return " ".join(own)
-    # A single word needs no name before its value: `ablation=base` is `base`.
+    # A single word needs no name before its value, if that is a name: `ablation=base` is `base`.
     _, _, value = own[0].partition("=")
-    return value or own[0]
+    return value if re.fullmatch(r"[A-Za-z][\w/-]*", value) and value != "null" else own[0]
 
 
 def published_lines(scores: Sequence[PublishedScore]) -> tuple[list[Line], list[str]]:

@@ -43,6 +43,13 @@ def sweep(tmp_path):
     return root
 
 
+def test_a_row_is_named_by_its_word_or_by_its_value_where_that_is_a_name(tmp_path):
+    words = ("ablation=base", "without=[mine]", "loss=[mine]", "~loss.mine", "rate=0.1", "average=null")
+    for index, word in enumerate(words):
+        job(tmp_path / str(index), word, "experiment=tiny", scores={"psnr": 1.0})
+    assert [line.title for line in report.lines_of(runs.find(tmp_path))[0]] == ["base", *words[1:]]
+
+
 def test_jobs_in_order_with_what_became_of_them(sweep):
     found = runs.find(sweep)
     states = {"0": "finished", "1": "finished", "2": "failed", "10": "unfinished"}

@@ -6,6 +6,7 @@ import json
 import logging
 import re
 from collections.abc import Iterable, Sequence
+from itertools import dropwhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,7 +54,7 @@ def read_sheet(path: Path) -> Sheet:
     kept = [index for index, name in enumerate(names) if name or any(row[index] for row in table)]
     names = _with_people([names[index] or f"column {index + 1}" for index in kept], path.name)
     table = [[row[index] for index in kept] for row in table]
-    answers = _answers(names, table, path.name)
+    answers = [index for index in _answers(names, table, path.name) if any(table[index])]  # no blank rows
     return Sheet(names, [table[index] for index in answers], [index + 2 for index in answers], semicolons)
 
 
@@ -116,22 +117,20 @@ def _csv_table(text: str, source: str) -> tuple[list[str], list[list[str]], bool
     if told := re.match(r'"?sep=(.)"?[^\S\t]*[\r\n]+', text, re.IGNORECASE):  # Excel's own first line
         delimiters, text = told[1], text[told.end() :]
     try:
-        tables = {
-            mark: [*filter(any, csv.reader(io.StringIO(text, newline=""), delimiter=mark))] for mark in delimiters
-        }
+        tables = {mark: [*csv.reader(io.StringIO(text, newline=""), delimiter=mark)] for mark in delimiters}
     except csv.Error as error:
         raise UserError(f"{source} is not a CSV table: {error}") from None
 
     def fits(delimiter: str) -> tuple[bool, int]:
-        header, *rows = map(len, tables[delimiter])
+        header, *rows = map(len, filter(any, tables[delimiter]))
         return header > 1 and {header}.issuperset(rows), header
 
     delimiter = max(tables, key=fits)
-    names, *rows = tables[delimiter]
+    names, *rows = dropwhile(lambda row: not any(row), tables[delimiter])
     for line, row in enumerate(rows, start=2):
-        if len(row) != len(names):
+        if any(row) and len(row) != len(names):
             raise UserError(f"{source}, row {line} has {len(row)} cells where the header has {len(names)}")
-    return names, rows, delimiter == ";"
+    return names, [row if any(row) else [""] * len(names) for row in rows], delimiter == ";"
 
 
 def _json_table(text: str, source: str) -> tuple[list[str], Iterable[Sequence[Any]]]:

@@ -105,7 +105,8 @@ class SignFlip(Significance):
     """scipy's one-sample permutation test, which flips the sign of each participant's mean.
 
     It is exact if there are at most ``resamples`` sign patterns, and draws random flips otherwise. The interval's ends
-    are quantiles of the means of random subsets, the typical values of Hartigan (1969).
+    are order statistics of the means of all subsets, or of random ones, the typical values of Hartigan (1969); too few
+    participants have none.
 
     Args:
         resamples: Number of random flips, and of random subsets for the interval.
@@ -128,14 +129,25 @@ class SignFlip(Significance):
         options = {"n_resamples": self.resamples, "alternative": self.alternative, "rng": generator, "batch": batch}
         test: Any = stats.permutation_test((values,), np.mean, permutation_type="samples", **options)
         mean = float(values.mean())
-        chosen = generator.random((min(self.resamples, 4_000_000 // n), n)) < 0.5
+        if 2**n <= self.resamples:
+            chosen = np.arange(2**n)[:, None] >> np.arange(n) & 1
+        else:
+            chosen = generator.random((min(self.resamples, 4_000_000 // n), n)) < 0.5
         chosen = chosen[chosen.any(1)]
+        means = np.sort(chosen @ values / chosen.sum(1))
         tail = (1 - self.confidence) / (2 if self.alternative == "two-sided" else 1)
-        low, high = np.quantile(chosen @ values / chosen.sum(1), [tail, 1 - tail]).tolist()
-        interval = one_sided((min(low, mean), max(high, mean)), self.alternative)
-        method = f"{method}; interval: typical values of random subsets"
-        pvalue = float(test.pvalue)
-        return self.result(responses, statistic=mean, pvalue=pvalue, estimate=mean, interval=interval, method=method)
+        # The true mean lies between any two neighbours of n ordered ones with probability 1 / (n + 1).
+        rank = math.floor(tail * (len(means) + 1) + 1e-9)
+        ends = min(float(means[rank - 1]), mean), max(float(means[-rank]), mean)
+        return self.result(
+            responses,
+            statistic=mean,
+            pvalue=float(test.pvalue),
+            estimate=mean,
+            interval=one_sided(ends, self.alternative) if rank else (math.nan, math.nan),
+            method=f"{method}; interval: typical values of subsets",
+            note="" if rank else "too few participants for an interval of this level",
+        )
 
 
 _MAX_EXACT = 50  # observations without ties or zeros
@@ -189,7 +201,7 @@ class Wilcoxon(Significance):
             effect=(2 * float(normal.statistic) - total) / total,
             effect_name="rank_biserial",
             method=f"{name}, {how}, {ranked} ranked; estimate: Hodges-Lehmann pseudo-median",
-            note="ties leave the Hodges-Lehmann interval without any width: none is given" if flat else "",
+            note="no Hodges-Lehmann interval: ties leave it no width, or there are too few answers" if flat else "",
         )
 
     def _permuted(self, values: Float[np.ndarray, " N"]) -> float:
@@ -208,12 +220,13 @@ def pseudo_median(
     """The Hodges-Lehmann estimate and its interval: the median and order statistics of all pairwise means.
 
     The interval inverts the test (Hollander, Wolfe and Chicken 2014, section 3.3); it is ``nan`` if ties leave it no
-    width. Memory is quadratic in the number of distinct values, not of answers.
+    width, or deviations are too few for the confidence. Memory is quadratic in the number of distinct values, not of
+    answers.
     """
     n = len(deviations)
     pairs = n * (n + 1) // 2
     tail = (1 - confidence) / (2 if alternative == "two-sided" else 1)
-    outer = min(max(_quantile(n, tail), 1), pairs)
+    outer = min(max(least := _quantile(n, tail), 1), pairs)
     ranks = np.array([(pairs + 1) // 2, pairs // 2 + 1, outer, pairs + 1 - outer])
     values, weights = np.unique(deviations, return_counts=True)
     rows, columns = np.triu_indices(len(values))
@@ -222,7 +235,7 @@ def pseudo_median(
     order = np.argsort(averages)
     found = averages[order][np.searchsorted(np.cumsum(times[order]), ranks)]
     low_median, high_median, lower, upper = (np.round(found, 12) + 0.0).tolist()
-    interval = (math.nan, math.nan) if lower == upper else one_sided((lower, upper), alternative)
+    interval = (math.nan, math.nan) if lower == upper or least < 1 else one_sided((lower, upper), alternative)
     return (low_median + high_median) / 2, interval
 
 

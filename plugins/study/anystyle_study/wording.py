@@ -77,11 +77,11 @@ def verdict(analysis: Analysis, question: QuestionAnalysis) -> str:
     if adjusted <= level and result.estimate != 0:
         by = f", by less than {margin}" if shown else ""
         return f"{'Ours' if result.estimate < 0 else 'Theirs'} is preferred{by}, and this holds for {whom} {evidence}."
-    if result.interval[0] > 0 or result.interval[1] < 0:
+    if result.pvalue <= level and result.estimate != 0:
         return f"A preference is indicated for {whom}, but not confirmed over all questions {evidence}."
     if equivalence is None:
         return f"No preference is shown for {whom} {evidence}; this is not evidence that the two are alike."
-    inside = f"(p {p_text(equivalence.pvalue)})"
+    inside = f"(p {p_text(equivalence.pvalue)}, where {level / 2:g} is asked of either side)"
     if shown:
         return f"Comparable for {whom}: any preference is below {margin} {inside}."
     return f"No preference is shown for {whom} {evidence}; nor that any is below {margin} {inside}."

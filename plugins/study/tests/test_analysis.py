@@ -112,6 +112,15 @@ def judged(tmp_path, deviations, settings):
     return analyze(records, {"crossed_t": CrossedT(confidence=settings.confidence)}, settings)
 
 
+def test_a_verdict_follows_the_p_value(tmp_path):
+    """Four people of one mind have p = 0.125, and no interval."""
+    judged(tmp_path, np.full((4, 3), -1), AnalysisOptions())
+    found = analyze(read_responses([tmp_path / "r.csv"]), {"sign_flip": SignFlip()}, AnalysisOptions())
+    assert verdict(found, found.questions[0]).startswith(
+        "No preference is shown for new participants, these sets (p = 0.125"
+    )
+
+
 @pytest.mark.parametrize(
     ("shift", "spread", "words"),
     [

@@ -48,8 +48,7 @@ def test_the_papers_design(tmp_path):
     assert [style.labels[index] for index in (0, 2, 4)] == ["A is much better", "Comparable", "B is much better"]
     assert (content.labels[0], content.labels[-1]) == ("Very difficult", "Very easy")
     assert (style.text, content.text.format(method="A"), content.text.format(method="B")) == PRINTED
-    assert plan.alternative == "less"
-    assert (plan.consent, plan.demographics) == ("", ())
+    assert plan.alternative == "less" and (plan.consent, plan.demographics) == ("", ())
     assert plan.rules == Rules(failed_checks=None, missing_share=1, min_seconds=0, fast_share=1)
     study = design(write_results(tmp_path, scenes=5, styles=6, frames=3), plan, tmp_path / "s")
     assert (len(study.participants), len(study.items), len(study.checks)) == (40, 20, 0)
@@ -135,8 +134,7 @@ def test_orders_are_latin_squares_balanced_for_what_comes_before(sets):
     orders = latin_orders(rows, sets, np.random.default_rng(1))
     assert all((np.bincount(column, minlength=sets) == rows // sets).all() for column in orders.T)
     following = Counter((a, b) for order in orders.tolist() for a, b in pairwise(order))
-    assert set(following.values()) == {rows // sets}
-    assert len(following) == sets * (sets - 1)
+    assert set(following.values()) == {rows // sets} and len(following) == sets * (sets - 1)
 
 
 def test_pairs_are_as_even_as_the_results_allow():
@@ -181,11 +179,9 @@ def test_pictures_have_one_size_and_tell_nothing(tmp_path):
         assert max(opened(files[0]).size) == max(opened(files[0].with_name(item.reference)).size)
         for file in files:
             assert not opened(file).getexif()
-            assert b"method" not in file.read_bytes()
-            assert len(file.stem) == 12
+            assert b"method" not in file.read_bytes() and len(file.stem) == 12
     notes = [line for line in (tmp_path / "study" / "balance.md").read_text().splitlines() if line.startswith("- ")]
-    assert len(notes) == 4
-    assert "other proportions than ours" in notes[0]
+    assert len(notes) == 4 and "other proportions than ours" in notes[0]
 
 
 def test_several_methods_and_styles_in_words(tmp_path):

@@ -61,8 +61,7 @@ def test_simulated_studies_are_symmetric_without_an_effect_and_repeatable():
         again = [one.deviations for one in simulate(Scenario(scale=scale), 60, seed=4)]
         assert all((a == b).all() for a, b in zip(drawn, again, strict=True))
         values = np.concatenate(drawn)
-        assert set(values.tolist()) == steps
-        assert abs(values.mean()) < 0.06
+        assert set(values.tolist()) == steps and abs(values.mean()) < 0.06
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +76,7 @@ def test_participants_needed_lie_where_the_power_crosses(study: PowerStudy):
     # Closed form: the smallest n whose noncentral t has 80 % beyond the 5 % point.
     sd = math.sqrt(0.25 + (1 + 1 / 12) / 20)
     n = next(n for n in range(3, 99) if stats.nct.cdf(stats.t.ppf(0.05, n - 1), n - 1, -0.4 / sd * math.sqrt(n)) > 0.8)
-    assert needed == pytest.approx(n, abs=4)
-    assert study.needed(rates[:1]) is None
+    assert needed == pytest.approx(n, abs=4) and study.needed(rates[:1]) is None
 
 
 def test_power_as_table_and_data(study: PowerStudy):

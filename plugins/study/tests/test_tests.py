@@ -142,10 +142,13 @@ def test_one_sided_claims_have_one_sided_intervals():
         assert both.pvalue == pytest.approx(2 * min(less.pvalue, greater.pvalue), rel=0.05)
 
 
-def test_ties_that_leave_no_interval_are_told():
+def test_ties_and_few_people_that_leave_no_interval_are_told():
     result = Wilcoxon()(table(np.repeat([0.0, -1.0, 1.0], [80, 12, 8])[:, None]))
-    assert math.isnan(result.interval[0])
-    assert "ties" in result.note
+    assert math.isnan(result.interval[0]) and "ties" in result.note
+    for test in (Wilcoxon(), SignFlip()):  # of five the least p-value is 0.0625, of six 0.03125
+        assert math.isnan((few := test(answers(5, 5).at("participant"))).interval[0]) and "too few" in few.note
+        six = answers(5, 6).at("participant")
+        assert test(six).interval == (six.deviations.min(), six.deviations.max())
 
 
 def test_the_crossed_mean_of_a_complete_table_claims_no_more_than_one_factor_alone():

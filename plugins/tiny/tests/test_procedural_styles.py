@@ -24,8 +24,7 @@ def test_combinations_of_the_splits_are_disjoint():
         return {(traits.pattern, frozenset(traits.colors)) for traits in drawn}
 
     train, validation, heldout = (combinations(split) for split in ("train", "validation", "heldout"))
-    assert not heldout & (train | validation)
-    assert train & validation
+    assert not heldout & (train | validation) and train & validation
     # One in HOLD combinations, each pattern with many palettes.
     share = np.mean([is_held_out(p, (a, b)) for p, a, b in product(range(len(PATTERNS)), range(9), range(9, 27))])
     assert 0.13 < share < 0.21

@@ -5,6 +5,7 @@ import hashlib
 import io
 import re
 import socket
+import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -111,14 +112,19 @@ class PageServer(ThreadingHTTPServer):
         self.viser_port, self.page, self.on_post, self.max_body = viser_port, page, on_post, max_body
         try:
             super().__init__((LOOPBACK[0], port), _Handler)
-        except OSError as error:
-            raise UserError(f"port {port} cannot be used ({error.strerror}); give another with --port") from None
+        except (OSError, OverflowError) as error:
+            why = getattr(error, "strerror", error)
+            raise UserError(f"port {port} cannot be used ({why}); give another with --port") from None
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
     @property
     def url(self) -> str:
         """The page's address."""
         return f"http://{LOOPBACK[0]}:{self.server_port}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        if not isinstance(sys.exception(), OSError):  # a browser that has gone is no error
+            super().handle_error(request, client_address)
 
     def close(self) -> None:
         """Stop serving."""
@@ -161,9 +167,9 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(404, "nothing is accepted at this path")
         elif not length.isdecimal() or int(length) > self.server.max_body:
             self._answer(413, f"at most {self.server.max_body:,} bytes are accepted")
-        else:
+        elif len(body := self.rfile.read(int(length))) == int(length):  # else the browser has gone
             try:
-                handler(dict(parse_qsl(address.query)), self.rfile.read(int(length)))
+                handler(dict(parse_qsl(address.query)), body)
             except (UserError, OSError) as error:
                 self._answer(400, one_line(error))
             else:

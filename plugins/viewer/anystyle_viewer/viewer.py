@@ -139,8 +139,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         if self._point is None:
             return ""
         reach = self.reach.value * self.path.distance
-        numbers = (*self._point, reach)
-        return f"sphere:{','.join(f'{number:.4g}' for number in numbers)},soft={reach / 4:.4g}"
+        return f"sphere:{','.join(f'{number:.4g}' for number in (*self._point, reach))},soft={reach / 4:.4g}"
 
     def _add_path_controls(self) -> None:
         gui = self.viser.gui

@@ -2,6 +2,7 @@
 
 import http.client
 import socket
+import struct
 import threading
 
 import pytest
@@ -78,6 +79,19 @@ def test_posts_are_bounded_and_errors_are_one_line(server, posted):
     assert ask(server, "POST", "/elsewhere", b"1", **origin)[0] == 404 and len(posted) == 1
 
 
-def test_a_port_in_use_is_refused_in_one_line(server):
-    with pytest.raises(UserError, match=f"port {server.server_port} cannot be used"):
-        PageServer(port=server.server_port, viser_port=1, page=b"", on_post={}, max_body=1)
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_browser_that_goes_posts_nothing_and_is_no_error(server, posted, capsys, reset):
+    with socket.create_connection(server.server_address) as browser:
+        lines = "POST /picture HTTP/1.1", "Host: localhost", "Origin: http://localhost", "Content-Length: 9", "", "half"
+        browser.sendall("\r\n".join(lines).encode())
+        browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", reset, 0))
+        browser.shutdown(socket.SHUT_WR)
+        assert reset or browser.recv(9) == b""
+    assert ask(server, "GET")[0] == 200 and posted == [] and "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("port", [None, 99999, -1])
+def test_a_port_that_cannot_be_used_is_refused_in_one_line(server, port):
+    port = port or server.server_port
+    with pytest.raises(UserError, match=f"port {port} cannot be used"):
+        PageServer(port=port, viser_port=1, page=b"", on_post={}, max_body=1)

@@ -52,7 +52,10 @@ def write(kind: str, name: str, into: Path) -> Path:
     if folder.exists():
         raise UserError(f"{folder} exists already; choose another NAME or --into DIR, nothing was written")
     source = _template(kind).read_text(encoding="utf-8")
-    cls = _class_name(name, source)
+    camel = "".join(word.capitalize() for word in name.split("_"))
+    # A backbone named "embedder" would hide the Embedder that the module imports; "True" is a keyword.
+    taken = keyword.iskeyword(camel) or camel in vars(builtins) or re.search(rf"\b{camel}\b", source)
+    cls = f"My{camel}" if taken else camel
     words = _with_article(kind)
     facts = {"project": module.replace("_", "-"), "cls": cls, "kind": kind, "name": name, "module": module}
     major, minor, *_ = version("anystyle").split(".")
@@ -93,13 +96,6 @@ def _refuse(kind: str, name: str, module: str) -> None:
         raise UserError(f"'{name}' is a preset of {kind} already; choose another name")
     if importlib.util.find_spec(module) is not None:
         raise UserError(f"a module {module} is installed already; choose another name")
-
-
-def _class_name(name: str, source: str) -> str:
-    camel = "".join(word.capitalize() for word in name.split("_"))
-    # A backbone named "embedder" would hide the Embedder that the module imports; "True" is a keyword.
-    taken = keyword.iskeyword(camel) or camel in vars(builtins) or re.search(rf"\b{camel}\b", source)
-    return f"My{camel}" if taken else camel
 
 
 def _renamed(source: str, kind: str, name: str, cls: str) -> str:

@@ -239,13 +239,6 @@ def _named_as_maps(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.glob("[!.]*")) if path.is_dir() and OTHER.fullmatch(path.name)]
 
 
-def evenly(items: Sequence[Path], count: int) -> list[Path]:
-    """At most ``count`` items, evenly spaced, the first and the last among them."""
-    if len(items) <= count:
-        return list(items)
-    return [items[round(index * (len(items) - 1) / max(count - 1, 1))] for index in range(count)]
-
-
 def common_size(
     sizes: Sequence[tuple[int, int]], *, short_side: int | None, multiple: int, enlarge: bool = True
 ) -> tuple[int, int]:
@@ -326,8 +319,9 @@ class _Shot(NamedTuple):
 def _shots(inputs: Sequence[Path], max_views: int, *, panoramas: bool = False) -> tuple[list[_Shot], list[str]]:
     """The headers of photographs and the frames of videos, and what is wrong with the others."""
     found = [path for item in inputs for path in files_of(item)]
-    paths = evenly(found, max_views)
-    if len(paths) < len(found):
+    paths, last = found, len(found) - 1
+    if len(found) > max_views:
+        paths = [found[round(index * last / max(max_views - 1, 1))] for index in range(max_views)]
         _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))
     for item in filter(Path.is_dir, map(resolved, inputs)):
         folders = list(dict.fromkeys(path.parent for path in found if item in path.parents))

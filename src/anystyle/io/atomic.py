@@ -32,6 +32,8 @@ def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
     A failing block leaves nothing. With ``sync`` the content is flushed to the disk before the file is renamed.
     """
     target = Path(target)
+    if target.is_dir():
+        raise UserError(f"{target} is a folder; name a file")
     target.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=PARTIAL, suffix=target.suffix, dir=target.parent)
     os.close(handle)

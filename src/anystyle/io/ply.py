@@ -59,13 +59,15 @@ def write(splats: Splats, path: Path, notes: Sequence[str] = ()) -> None:
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
-    degree = _degree(harmonics.shape[1])
+    root = isqrt(count := harmonics.shape[1])
+    if root**2 != count:
+        raise UserError(f"{count} spherical-harmonics coefficients a colour; expected a square, such as 4, 9 or 16")
     # Opacities of 0 and 1 and scales of 0 occur; the margins keep their logits and logarithms finite.
     logits = torch.logit(opacities.clamp(1e-6, 1 - 1e-6))[:, None]
     sizes, quaternions = scales.clamp_min(1e-12).log(), torch.nn.functional.normalize(rotations, dim=-1)
     colors = _flat(harmonics)
     columns = torch.cat([means, torch.zeros_like(means), colors, logits, sizes, quaternions], dim=1)
-    vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(degree)])[:, 0]
+    vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(root - 1)])[:, 0]
     with atomic_path(path) as temporary:
         PlyData([PlyElement.describe(vertices, "vertex")], comments=_ascii(notes)).write(temporary)
 
@@ -258,13 +260,6 @@ def _with_constant(columns: Mapping[str, NDArray[Any]], remarks: Remarks) -> dic
         remarks.guesses.append(f"red, green and blue are read as numbers from 0 to {top:g}")
     constants = ((color.astype(np.float64) / top - 0.5) / _CONSTANT for color in colors)
     return {**columns, **dict(zip(names, constants, strict=True))}
-
-
-def _degree(coefficients: int) -> int:
-    root, expected = isqrt(coefficients), "a square, such as 4, 9 or 16"
-    if root**2 != coefficients:
-        raise UserError(f"{coefficients} spherical-harmonics coefficients a colour; expected {expected}")
-    return root - 1
 
 
 def _properties(degree: int) -> list[str]:

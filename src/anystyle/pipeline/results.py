@@ -192,7 +192,10 @@ class StylizeRun:
 
 @dataclass(frozen=True)
 class Result:
-    """A scene in one style."""
+    """A scene in one style.
+
+    Results share tensors with one another and with the unstyled scene: edit ``gaussians.map(torch.clone)``, not these.
+    """
 
     style: EmbeddedStyle
     gaussians: Gaussians

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 import torch
+from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Method, Reconstruction
@@ -91,7 +92,7 @@ def stylize(
     else:
         request = Request.of(
             inputs,
-            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Named)) else styles,
+            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Named, Image.Image)) else styles,
             [controls] if isinstance(controls, Controls) else controls,
             model=model if isinstance(model, str) else None,
             reconstruction=reconstruction if isinstance(reconstruction, str) else None,

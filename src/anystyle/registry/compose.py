@@ -195,7 +195,8 @@ def _takes(key: str, inner: Sequence[str], words: Sequence[str]) -> dict[str, st
         return arguments(Plugin(key, key, target, "anystyle")) or {}
     known = catalog().names(key) if key in kinds() else []
     chosen = inner[:1] if key in MANY else [word.partition("=")[2] for word in words if word.startswith(f"{key}=")]
-    taken = [arguments(catalog().find(key, name)) for name in known if name in chosen or not {*chosen} & {*known}]
+    among = [name for name in known if name in chosen or not {*chosen} & {*known}]
+    taken = [arguments(plugin) for name in among for plugin in catalog().declarations(key, name)]
     items = [item for options in taken for item in (options or {}).items() if None not in taken]
     return {name: " | ".join(kind for each, kind in items if each == name) for name, _ in items}
 
@@ -259,7 +260,8 @@ def choices(group: str) -> list[str]:
 def _with_option(group: str, message: str) -> list[str]:
     """The choices of a group that have the option of which Hydra says that it could not be overridden, or all."""
     option = re.search(rf"'{group}\.(\w+)", message)
-    plugins = [catalog().find(group, name) for name in (catalog().names(group) if group in kinds() and option else ())]
+    names = catalog().names(group) if group in kinds() and option else ()
+    plugins = [plugin for name in names for plugin in catalog().declarations(group, name)]
     return [each.name for each in plugins if option and option[1] in (arguments(each) or ())] or choices(group)
 
 

@@ -52,8 +52,7 @@ def test_unseen_scenes_come_out_nearer_than_the_mean(tiny: Stylizer, heldout: li
         plain.append(scores(geometry_errors(plane, views), mean, views.images))
     depth, turn, color = torch.tensor(found).mean(0)
     plain_depth, plain_turn, plain_color = torch.tensor(plain).mean(0)
-    assert depth < 0.7 * plain_depth
-    assert turn < 0.85 * plain_turn
+    assert depth < 0.7 * plain_depth and turn < 0.85 * plain_turn
     assert color > plain_color + 1.5
 
 

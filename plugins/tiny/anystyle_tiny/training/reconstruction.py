@@ -18,10 +18,11 @@ from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
 from anystyle.contracts.training import Training, required
 from anystyle.ranges import AtLeastOne, Count, Positive
 from anystyle.training.data import Batch, SceneBatches
+from anystyle.training.optim import scheduled
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Tokens, Views
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.reference_view import in_order, reference_first
-from anystyle_tiny.training.decay import decayed_adamw
+from anystyle_tiny.training.decay import decayed_groups
 from anystyle_tiny.training.matches import FeatureProbes, correlation_loss, feature_dims, patch_matches
 from anystyle_tiny.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 
@@ -202,8 +203,9 @@ class ReconstructionTraining(Training):
         self.log_dict({f"val/{name}": value for name, value in errors.items()}, batch_size=len(batch.keys))
 
     def configure_optimizers(self) -> Any:
-        steps, decay = self.trainer.max_steps, self.weight_decay
-        return decayed_adamw(self, lr=self.learning_rate, weight_decay=decay, steps=steps, warmup=self.warmup)
+        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
+        optimizer, total = torch.optim.AdamW(groups, betas=(0.9, 0.98)), self.trainer.max_steps - self.warmup
+        return scheduled(optimizer, total=total, warmup=self.warmup, floor=0.01 * self.learning_rate)
 
 
 def reference_view_first(views: Views, stem: Tokens) -> tuple[Views, Tokens]:
