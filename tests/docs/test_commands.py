@@ -52,7 +52,7 @@ class Reader:
     def types(self, line: str) -> Done:
         """Run a command, in this process where that can be."""
         words = small(self.page, line)
-        if self.page == "README.md" and (self.folder / "plugins").is_dir():
+        if self.page in ("README.md", "docs/add_a_network.md") and (self.folder / "plugins").is_dir():
             # Its reader is in the checkout, where this folder is looked into anyway.
             self.environment["ANYSTYLE_PLUGINS"] = "plugins"
         if words[0] == "export":

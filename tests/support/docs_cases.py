@@ -38,7 +38,7 @@ ADDED = (
     (r"anystyle evaluate --run .*=paper_image", f"{_SOURCES} scenes.short_side=28"),
     (r"anystyle evaluate .*=SCENES", "scenes.short_side=56"),
     (r"anystyle stylize .*method=(nnfm|stylized_gs)(?!.*--cfg)", "method.num_steps=2"),
-    (r"anystyle evaluate .*=paper_text", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),
+    (r"anystyle evaluate .*=paper_text(?!.*scenes.root)", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),
     (r"anystyle study design", "study.participants=4 study.sets=4 study.image_size=64"),
     (r"anystyle study analyze (?!.*study_test)", "study_test.sign_flip.resamples=99"),
     (r"anystyle study power", "--studies 20"),
@@ -80,7 +80,7 @@ ENDS = {
     r"anystyle stylize .*poses_from=": "poses_from=.* does not exist",
     r"anystyle stylize .*poses=known": "no cameras are stored beside the photographs",
     r"anystyle stylize .*--photo-masks ": "there is no folder of masks",
-    r"anystyle stylize scene.spz ": "there is no file scene.spz",
+    r"anystyle (stylize scene.spz|evaluate .* DEPTH) ": "there is no (file scene.spz|depth folder DEPTH)",
     r"anystyle stylize (panoramas/|walk_360.mp4) ": "there is no folder, image or video",
     r"anystyle stylize .*(reconstruction=fit|quality=best)": "no cameras are found: there is too little to see",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
@@ -96,7 +96,7 @@ TELLS = {
 """What the commands that begin so say, by which it is seen that they did their work."""
 NOT_RUN = {
     r"anystyle NAME$": "a name to fill in",
-    r"anystyle plugins check (KIND|cameras) NAME$": "names to fill in",
+    r"anystyle plugins check \w+ NAME$": "names to fill in",
     r"for archive in ": "archives of 730 GB",
     r"anystyle export SCENE": "a file of a format that the reader adds",
     r"python -m build$": "builds the reader's package",
