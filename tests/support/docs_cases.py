@@ -51,6 +51,7 @@ INSTEAD = {
     "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image ...": (
         "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image"
     ),
+    "anystyle evaluate --run runs/mine protocol=paper_image ...": "anystyle evaluate --run runs/mine",
     "anystyle plugins new protocol NAME": "anystyle plugins new protocol mine",
     "anystyle plugins new study_test NAME": "anystyle plugins new study_test mine",
     "anystyle weights list NAME ...": "anystyle weights list vgg16 alexnet",
@@ -77,6 +78,7 @@ ENDS = {
     r"anystyle weights download ": "cannot be fetched",
     r"anystyle stylize .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
     r"anystyle film .*camera_path.json": "there is no camera path of nerfstudio camera_path.json",
+    r"anystyle .*--run runs/mine ": "there is no run runs/mine",
     r"anystyle stylize .*poses_from=": "poses_from=.* does not exist",
     r"anystyle stylize .*poses=known": "no cameras are stored beside the photographs",
     r"anystyle stylize .*--photo-masks ": "there is no folder of masks",
