@@ -117,7 +117,7 @@ NOT_RUN = {
     r"anystyle (train|evaluate) -m hydra/sweeper=optuna ": "many jobs; training/test_search.py runs a few",
     r"anystyle train -m hydra/launcher=submitit_slurm ": "needs a cluster",
     r"anystyle train -m hydra/launcher=(joblib|submitit_local) ": "ablation/test_ablations.py runs both launchers",
-    r"anystyle train experiment=paper_(?!.*model=tiny)": "needs graphics cards, the data sets and published weights",
+    r"anystyle train experiment=(paper_(?!.*model=tiny)|styl)": "needs graphics cards, the data sets and published weights",
     r"anystyle (evaluate protocol=table|report .?T2)": "tests of these plugins do, small",
     r"anystyle benchmark (judge|compare) ": "needs an edition; tests have one",
     r"anystyle benchmark ladder ": "hours; benchmark/tests/test_ladder.py counts a small one",
