@@ -138,7 +138,7 @@ def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_pat
     run(*words, "--out", "out")
     assert [path.stat().st_mtime_ns for path in kept] == times
     shutil.copy("out/images/style/00.jpg", "out/images/style/01.jpg")
-    assert "style 01 is no longer the picture that was judged, out/images" in fails(capsys, *words, "--out", "out")
+    assert "style 01 is no longer that of the renders, out/images" in fails(capsys, *words, "--out", "out")
     told = fails(capsys, *words, "variant=corrected", "--out", "out")
     assert "out holds an evaluation of another configuration (protocol.variant reference -> corrected" in told
     assert "choose another --out, or delete that folder" in told

@@ -52,7 +52,6 @@ INSTEAD = {
     "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image ...": (
         "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image"
     ),
-    "anystyle evaluate --run runs/mine protocol=paper_image ...": "anystyle evaluate --run runs/mine",
     "anystyle plugins new protocol NAME": "anystyle plugins new protocol mine",
     "anystyle plugins new study_test NAME": "anystyle plugins new study_test mine",
     "anystyle weights list NAME ...": "anystyle weights list vgg16 alexnet",

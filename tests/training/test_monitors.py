@@ -100,7 +100,7 @@ def test_a_loss_that_explodes_stops_the_run(tmp_path):
     ("words", "told"),
     [
         (("trainer.precision=16-mixed",), "use bf16-mixed"),
-        (("trainer.precision=bf16-true",), "weights have single precision; use bf16-mixed"),
+        (("trainer.precision=64",), "weights have single precision; use bf16-mixed"),
         (("trainer.strategy=dpp",), "dpp"),
         (("trainer.strategy=fsdp",), "`fsdp` requires a GPU accelerator"),
         (("+trainer.inference=3",), "unexpected keyword argument 'inference'"),

@@ -46,8 +46,8 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
     if name not in formats:
         raise UserError(f"no format is named; give --to with one of {', '.join(formats)}")
     result = arguments.out.name == "scene.ply" and (arguments.out.parent / "report.json").is_file()
-    if result or (arguments.out.exists() and arguments.scene.exists() and arguments.out.samefile(arguments.scene)):
-        raise UserError(f"{arguments.out} is the scene itself; name another file with --out")
+    if arguments.out.exists() and (result or (arguments.scene.exists() and arguments.out.samefile(arguments.scene))):
+        raise UserError(f"{arguments.out} is the scene itself, or part of a result; name another file with --out")
     if (arguments.scene / "report.json").is_file() and (arguments.from_up or overrides):
         raise UserError(
             "a folder of results is in OpenCV's axes; --from-up and splat.KEY=VALUE are for files of others"

@@ -69,10 +69,10 @@ class Spz(Format):
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SPZ file") as remarks:
             data = path.read_bytes()
+            scene, up = decoded(data, remarks), _stated_up(data) or self.up
             flags = (data if data.startswith(_START) else gzip.GzipFile(fileobj=io.BytesIO(data)).read(16))[14]
-            # Bit 0: trained with antialiasing. Bit 1: there are extensions.
-            scene, up = decoded(data, remarks).marked(bool(flags & 1)), _stated_up(data) or self.up
-        return StyledScene(((path.stem, scene),), up=up)
+        # Bit 0: trained with antialiasing. Bit 1: there are extensions.
+        return StyledScene(((path.stem, scene.marked(bool(flags & 1))),), up=up)
 
 
 def _fraction_bits(largest: float) -> int:

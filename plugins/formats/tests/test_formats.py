@@ -208,7 +208,7 @@ def test_the_command_merges_gaussians_and_says_so(tmp_path, caplog):
     with pytest.raises(UserError, match="max_gaussians"):
         command.export(*split(command.parser(), [*words, "0"]))
     (tmp_path / "report.json").touch()
-    with pytest.raises(UserError, match="is the scene itself"):
+    with pytest.raises(UserError, match="or part of a result"):
         command.export(*split(command.parser(), [str(tmp_path / "few.ply"), "--out", str(tmp_path / "scene.ply")]))
 
 

@@ -114,6 +114,7 @@ class ModelRenders(Protocol):
             else:
                 write_picture(path, image, self.variant)
         for scene_name, number in self.planned_scenes.items():
+            on_progress(Progress.count("render", done, total))
             folder = images / "stylized" / scene_name
             frames = [f"{index:03d}" for index in range(min(self._num_inputs(number), self.frames))]
             photographs = [images / "content" / scene_name / f"{frame}{self.suffix}" for frame in frames]
@@ -130,7 +131,6 @@ class ModelRenders(Protocol):
             done += len(self.planned_styles) - len(missing)
             if not missing:
                 continue
-            on_progress(Progress.count("render", done, total))
             scene, encoding = self._encode(number)
             self._write_content(images, scene_name, scene, frames)
             for name in missing:
@@ -236,7 +236,7 @@ def refuse_other(path: Path, image: Float[Tensor, "3 H W"], variant: Variant, wh
         write_picture(made := Path(folder) / path.name, image, variant)
         before, now = (adaptive_avg_pool2d(read(each), 16) for each in (path, made))
     if (before - now).abs().mean() > 0.02:  # other releases of JPEG round otherwise
-        raise UserError(f"{what} is no longer the picture that was judged, {path}; give another --out")
+        raise UserError(f"{what} is no longer that of the renders, {path}; give another --out")
 
 
 def middle_square(views: Views) -> Views:

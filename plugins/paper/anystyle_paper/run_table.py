@@ -126,7 +126,7 @@ def _title(run: Run, common: set[str]) -> str:
         return " ".join(own)
     # A single word needs no name before its value, if that is a name: `ablation=base` is `base`.
     _, _, value = own[0].partition("=")
-    return value if re.fullmatch(r"[A-Za-z][\w/-]*", value) and value != "null" else own[0]
+    return value if re.fullmatch(r"(?i)(?!(null|none|true|false|nan|inf)$)[a-z][\w/-]*", value) else own[0]
 
 
 def published_lines(scores: Sequence[PublishedScore]) -> tuple[list[Line], list[str]]:

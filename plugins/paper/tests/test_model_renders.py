@@ -44,7 +44,7 @@ def test_what_is_written_and_judged(parts, tmp_path):
     assert found.times["time_s"] == pytest.approx(found.provenance["seconds_a_style"] / 4)
     assert found.rows[0].pictures["result"] == kept / "stylized" / "wall_0000" / "00_001.jpg"
     (kept / "content" / "wall_0001" / "001.jpg").write_bytes((kept / "style" / "00.jpg").read_bytes())
-    with pytest.raises(UserError, match="photograph 001 of wall_0001 is no longer the picture that was judged"):
+    with pytest.raises(UserError, match="photograph 001 of wall_0001 is no longer that of the renders"):
         Paper(**parts, num_styles=3, frames=2).run(tmp_path, no_progress)
 
 

@@ -44,7 +44,7 @@ def sweep(tmp_path):
 
 
 def test_a_row_is_named_by_its_word_or_by_its_value_where_that_is_a_name(tmp_path):
-    words = ("ablation=base", "without=[mine]", "loss=[mine]", "~loss.mine", "rate=0.1", "average=null")
+    words = ("ablation=base", "without=[mine]", "loss=[mine]", "~loss.mine", "rate=0.1", "average=null", "half=true")
     for index, word in enumerate(words):
         job(tmp_path / str(index), word, "experiment=tiny", scores={"psnr": 1.0})
     assert [line.title for line in report.lines_of(runs.find(tmp_path))[0]] == ["base", *words[1:]]

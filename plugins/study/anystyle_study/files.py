@@ -6,7 +6,6 @@ import json
 import logging
 import re
 from collections.abc import Iterable, Sequence
-from itertools import dropwhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,9 +52,9 @@ def read_sheet(path: Path) -> Sheet:
     names = [name.strip() for name in names]
     kept = [index for index, name in enumerate(names) if name or any(row[index] for row in table)]
     names = _with_people([names[index] or f"column {index + 1}" for index in kept], path.name)
-    table = [[row[index] for index in kept] for row in table]
-    answers = [index for index in _answers(names, table, path.name) if any(table[index])]  # no blank rows
-    return Sheet(names, [table[index] for index in answers], [index + 2 for index in answers], semicolons)
+    filled = [(line, [row[index] for index in kept]) for line, row in enumerate(table, 2) if any(row)]
+    answers = [filled[index] for index in _answers(names, [row for _, row in filled], path.name)]
+    return Sheet(names, [row for _, row in answers], [line for line, _ in answers], semicolons)
 
 
 def plain_name(name: str) -> str:
@@ -122,11 +121,12 @@ def _csv_table(text: str, source: str) -> tuple[list[str], list[list[str]], bool
         raise UserError(f"{source} is not a CSV table: {error}") from None
 
     def fits(delimiter: str) -> tuple[bool, int]:
-        header, *rows = map(len, filter(any, tables[delimiter]))
+        header, *rows = [*map(len, filter(any, tables[delimiter]))] or [0]
         return header > 1 and {header}.issuperset(rows), header
 
-    delimiter = max(tables, key=fits)
-    names, *rows = dropwhile(lambda row: not any(row), tables[delimiter])
+    table = tables[delimiter := max(tables, key=fits)]
+    first = next((index for index, row in enumerate(table) if any(row)), 0)
+    names, rows = table[first], table[:first] + table[first + 1 :]
     for line, row in enumerate(rows, start=2):
         if any(row) and len(row) != len(names):
             raise UserError(f"{source}, row {line} has {len(row)} cells where the header has {len(names)}")

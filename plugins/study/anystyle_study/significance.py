@@ -129,7 +129,7 @@ class SignFlip(Significance):
         options = {"n_resamples": self.resamples, "alternative": self.alternative, "rng": generator, "batch": batch}
         test: Any = stats.permutation_test((values,), np.mean, permutation_type="samples", **options)
         mean = float(values.mean())
-        if 2**n <= self.resamples:
+        if exact := 2**n <= min(self.resamples, 4_000_000 // n):
             chosen = np.arange(2**n)[:, None] >> np.arange(n) & 1
         else:
             chosen = generator.random((min(self.resamples, 4_000_000 // n), n)) < 0.5
@@ -146,7 +146,7 @@ class SignFlip(Significance):
             estimate=mean,
             interval=one_sided(ends, self.alternative) if rank else (math.nan, math.nan),
             method=f"{method}; interval: typical values of subsets",
-            note="" if rank else "too few participants for an interval of this level",
+            note="" if rank else f"too few {'participants' if exact else 'resamples'} for an interval of this level",
         )
 
 

@@ -158,7 +158,7 @@ def test_the_export_of_qualtrics_is_read(tmp_path, caplog, header, real, preview
     people = [("2026-03-01", real, f"5f{number:022d}", 1 + number % 3, "A") for number in range(8)]
     tried = [("2026-02-27", preview, "test", 1, "A")]
     with (tmp_path / "q.csv").open("w", newline="", encoding="utf-8-sig") as file:
-        csv.writer(file).writerows([names, *header, *people, *tried])
+        csv.writer(file).writerows([names, (), *header, (), *people, *tried])  # blank rows
     records = read_responses([tmp_path / "q.csv"], wide=True)
     left_out = 0 if real == "0" and not header else 1  # without Qualtrics' rows, 1 may be any code
     assert len({answer.participant for answer in records.answers}) == 9 - left_out

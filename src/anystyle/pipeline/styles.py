@@ -163,7 +163,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
         case Style(image=Tensor() as image, names=names):
             title, made_of = names[0] if names else "image", (entry("image", names=names),)
         case _:
-            given = f"a style has neither an image nor a text, but is a {type(style).__name__}"
+            given = f"a style has neither an image nor a text: {type(style).__name__} is given"
             raise UserError(f"{given}; give a text, a Path, or a tensor [3, H, W] of sRGB in [0, 1]")
     cell, image = to_pil(image[0]), image if paints else rescaled(image[0], scale)[None]
     embedding = replace(stylizer.embed(image=image.to(stylizer.device)), scale=scale)

@@ -261,8 +261,8 @@ def _with_option(group: str, message: str) -> list[str]:
     """The choices of a group that have the option of which Hydra says that it could not be overridden, or all."""
     option = re.search(rf"'{group}\.(\w+)", message)
     names = catalog().names(group) if group in kinds() and option else ()
-    plugins = [plugin for name in names for plugin in catalog().declarations(group, name)]
-    return [each.name for each in plugins if option and option[1] in (arguments(each) or ())] or choices(group)
+    plugins = {name: catalog().declarations(group, name)[0] for name in names}
+    return [name for name in plugins if option and option[1] in (arguments(plugins[name]) or ())] or choices(group)
 
 
 def _message(error: BaseException) -> str:

@@ -74,9 +74,10 @@ def check_options(config: DictConfig) -> None:
         except ValueError as error:
             raise UserError(f"{key}={value}: {error}") from None
     trainer, precision = config.trainer, str(config.trainer.precision)
-    if precision.endswith(("16-true", "64-true")) or (trainer.accelerator == "cpu" and precision.startswith("16")):
-        given = f"trainer.precision={precision} on trainer.accelerator={trainer.accelerator}"
-        raise UserError(f"{given}: weights have single precision; use bf16-mixed, 32-true or, on a card, 16-mixed")
+    if precision == "64" or precision.endswith(("16-true", "64-true")):
+        raise UserError(f"trainer.precision={precision}: weights have single precision; use bf16-mixed or 32-true")
+    if trainer.accelerator == "cpu" and precision.startswith("16"):
+        raise UserError(f"trainer.precision={precision} needs a graphics card; use bf16-mixed or 32-true")
     batches = trainer.max_steps * (trainer.accumulate_grad_batches or 1)
     validated = config.validation_steps and any(map(config.get, ("validation_scenes", "validation_styles")))
     if validated and trainer.val_check_interval > batches:
