@@ -35,13 +35,13 @@ def test_negative_means_ours(plugin: Subject[StudyTest]) -> None:
 
 def test_too_little_is_not_an_error(plugin: Subject[StudyTest]) -> None:
     """One answer, one participant, or answers without any variation give a result, never an error."""
-    neutral = replace(_answers(0.0), deviations=np.zeros(60))
+    neutral = replace(_answers(0.0), deviations=np.zeros(72))
     cases = {
         "a single answer": _answers(-0.8, participants=1, items=1),
         "a single participant": _answers(-0.8, participants=1),
         "a single item": _answers(-0.8, items=1),
         "answers that are all neutral": neutral,
-        "answers that are all 1": replace(neutral, deviations=np.full(60, -2.0)),
+        "answers that are all 1": replace(neutral, deviations=np.full(72, -2.0)),
     }
     for what, answers in cases.items():
         for unit in plugin.cls.units:
@@ -60,7 +60,7 @@ def test_testing_twice_is_the_same(plugin: Subject[StudyTest]) -> None:
         assert np.array_equal(before, answers.deviations), "other deviations after the test"
 
 
-def _answers(mean: float, participants: int = 12, items: int = 5) -> Responses:
+def _answers(mean: float, participants: int = 12, items: int = 6) -> Responses:
     """Whole steps of the scale from 1 to 5, so that there are ties as in real answers."""
     (answers,) = simulate(Scenario(participants=participants, items=items, effect=mean), 1, seed=5)
     return answers
