@@ -121,7 +121,7 @@ NOT_RUN = {
     r"anystyle (evaluate protocol=table|report .?T2)": "tests of these plugins do, small",
     r"anystyle benchmark (judge|compare) ": "needs an edition; tests have one",
     r"anystyle benchmark ladder ": "hours; benchmark/tests/test_ladder.py counts a small one",
-    r"anystyle evaluate protocol=captures ": "minutes; captures/tests/test_protocol.py runs a small one",
+    r"anystyle evaluate protocol=captures": "minutes; captures/tests/test_protocol.py runs a small one",
 }
 """Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""
 
