@@ -41,6 +41,7 @@ def same(one, other, tolerance: float) -> None:
     assert one.keys() == other.keys()
     for key, tensor in one.items():
         torch.testing.assert_close(other[key], tensor, atol=tolerance, rtol=0)
+        assert (other[key] - tensor).abs().mean() <= tolerance / 10, key
 
 
 @pytest.mark.slow

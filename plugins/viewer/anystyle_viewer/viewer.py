@@ -48,8 +48,6 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         self._add_save_controls()
         session.on_change, session.on_status = self._style_changed, self._show_status
         self._style_changed()
-        saved = [("", self.unstyled), *session.saved.items()]
-        threading.Thread(target=lambda: [self._render_thumbnail(*one) for one in saved], daemon=True).start()
         self.viser.on_client_connect(self._connected)
         self.viser.on_client_disconnect(self._disconnected)
         self.server = PageServer(
@@ -63,6 +61,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             },
             max_body=MAX_UPLOAD,
         )
+        saved = [("", self.unstyled), *session.saved.items()]
+        threading.Thread(target=lambda: [self._render_thumbnail(*one) for one in saved], daemon=True).start()
 
     def __exit__(self, *_: object) -> None:
         self.server.close()
