@@ -75,15 +75,16 @@ def read_responses(
 
 
 def _unanswered(answers: Sequence[Answer], study: Study) -> Iterator[Answer]:
-    """The attention checks without a row that people were shown before their last answer."""
-    question, asked = study.plan.questions[0].name, {answer.item for answer in answers}
-    checks = {check.id: check for check in study.checks if check.id in asked}  # a table may have none at all
+    """The questions of attention checks without a row that people were asked before their last answer."""
+    # A table may have none of a check at all.
+    asked = {(answer.item, answer.question): answer for answer in answers if answer.check}
     for name in dict.fromkeys(answer.participant for answer in answers):
-        given, person = {answer.item for answer in answers if answer.participant == name}, study.participant(name)
-        order = [] if person is None else person.order
-        last = max((index for index, item in enumerate(order) if item in given), default=0)
-        for one in (checks[item] for item in order[:last] if item in checks and item not in given):
-            yield Answer(name, one.id, question, math.nan, check=one.kind, of=one.of)
+        given = {(answer.item, answer.question) for answer in answers if answer.participant == name}
+        order = person.order if (person := study.participant(name)) else []
+        last = max((order.index(item) for item, _ in given if item in order), default=0)
+        for (item, question), one in asked.items():
+            if item in order[:last] and (item, question) not in given:
+                yield Answer(name, item, question, math.nan, check=one.check, of=one.of)
 
 
 def _files(path: Path) -> list[Path]:

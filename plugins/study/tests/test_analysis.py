@@ -183,7 +183,7 @@ def test_no_verdict_where_most_are_excluded_or_one_is_left(tmp_path):
 
 def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
     designed, _ = small_study(tmp_path)
-    (skipped, rated, _, stopped), (degraded,) = designed.participants, designed.checks
+    (skipped, rated, halved, stopped), (degraded,) = designed.participants, designed.checks
     rows = []
     for one in designed.participants:
         for name in one.order if one != stopped else one.order[: one.order.index(degraded.id)]:
@@ -192,10 +192,12 @@ def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
                 a, b = (4, 2) if intact_is_a == liked else (2, 4)
                 scores = (("style", "", 2 if intact_is_a else 4), ("content", "A", a), ("content", "B", b))
                 rows += [(one.id, name, *score) for score in scores]
-    path = write_csv(tmp_path / "a.csv", rows, "participant,item,question,side,score")
-    found, _ = check(read_responses([path], designed), scale=Scale(), rules=Rules())
-    failed = [finding.participant for finding in found.findings if finding.kind == "failed_attention_check"]
-    assert sorted(failed) == [skipped.id, rated.id]
+    for absent in ({"style"}, {"A"}, {"B"}):  # of one person's check
+        kept = [row for row in rows if row[:2] != (halved.id, degraded.id) or not absent & {*row[2:4]}]
+        path = write_csv(tmp_path / "a.csv", kept, "participant,item,question,side,score")
+        found, _ = check(read_responses([path], designed), scale=Scale(), rules=Rules())
+        failed = [finding.participant for finding in found.findings if finding.kind == "failed_attention_check"]
+        assert sorted(failed) == [skipped.id, rated.id, halved.id]
     write_csv(path, [row for row in rows if row[1] != degraded.id], "participant,item,question,side,score")
     assert not check(read_responses([path], designed), scale=Scale(), rules=Rules())[0].exclusions  # it has no checks
 
@@ -342,5 +344,4 @@ def test_errors_leave_nothing(tmp_path, words, told, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError) as error:
         run(*words)
-    assert told in str(error.value)
-    assert not (tmp_path / "out").exists()
+    assert told in str(error.value) and not (tmp_path / "out").exists()

@@ -259,8 +259,7 @@ def test_words_without_a_score_are_listed_with_what_to_type(tmp_path, rows):
     for labels, pairs in (([AB[:4]], []), ([AB], ["No difference=2"]), ([[*AB[:4], AB[0]]], []), ([], ["Unsure"])):
         with pytest.raises(ValueError, match="--label"):
             given_words(labels, pairs, [Scale()])
-    assert AnswerColumn().score("5: no difference", words) is None
-    assert given_scale([AB * 2]) == Scale(1, 10)
+    assert AnswerColumn().score("5: no difference", words) is None and given_scale([AB * 2]) == Scale(1, 10)
     assert given_scale([]) == Scale()
 
 
