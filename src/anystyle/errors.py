@@ -12,6 +12,10 @@ class MissingExtra(UserError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 
 
+class Terminated(SystemExit):
+    """The exit after SIGTERM, which is nobody's error."""
+
+
 def one_line(message: object) -> str:
     """A message of several lines as one."""
     return " ".join(str(message).split())

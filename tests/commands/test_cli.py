@@ -194,8 +194,7 @@ def test_help_lists_every_command_that_exists():
 def test_mistakes_are_one_line(words, told):
     done = call(*words)
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith(f"anystyle: error: {told}")
-    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith(f"anystyle: error: {told}") and done.stderr.count("\n") == 1
 
 
 def test_a_process_that_starts_itself_again_finds_its_command():
@@ -272,8 +271,7 @@ def test_a_command_runs_with_flags_and_overrides(command):
 )
 def test_a_command_fails_in_one_line(command, words, told):
     status, _, err = command(*words)
-    assert status == 2
-    assert err.startswith(f"anystyle: error: {told}") and err.count("\n") == 1
+    assert status == 2 and err.startswith(f"anystyle: error: {told}") and err.count("\n") == 1
 
 
 def test_a_bug_is_raised_as_it_is(command):
@@ -295,12 +293,10 @@ def test_interruption(command):
 
 def test_help_and_configuration(command):
     status, out, _ = command("--help")
-    assert status == 0
-    assert "--text" in out and "--multirun" in out and "placement: aggregator, color, full, head" in out
+    assert status == 0 and "--text" in out and "--multirun" in out and "placement: aggregator, color, full, head" in out
     for words in (["--cfg", "job", "placement=full"], ["placement=full", "--cfg", "job", "seed=3"]):
         status, out, _ = command(*words)
-        assert status == 0
-        assert OmegaConf.create(out).placement._target_ == "anystyle.placements.Full"
+        assert status == 0 and OmegaConf.create(out).placement._target_ == "anystyle.placements.Full"
 
 
 def test_multirun_runs_every_combination(command):
@@ -413,8 +409,7 @@ SIMPLE = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) 
 @given(SIMPLE | st.lists(SIMPLE, max_size=3))
 def test_override_keeps_every_value(value):
     parsed = OverridesParser.create().parse_override(override("x", value))
-    assert not parsed.is_sweep_override()
-    assert OmegaConf.create({"x": parsed.value()}).x == value
+    assert not parsed.is_sweep_override() and OmegaConf.create({"x": parsed.value()}).x == value
 
 
 def test_compose_inside_a_command_and_its_errors(tmp_path):
@@ -431,8 +426,7 @@ def test_messages():
     assert message(OSError(28, "No space", "out/.partial-x1/a.ply")) == "out/a.ply: No space"
     assert message(FileNotFoundError(2, "No such file or directory", "x.jpg")) == "x.jpg: No such file or directory"
     assert message(MissingExtra('reports need: pip install "anystyle[report]"')) is not None
-    assert message(ImportError("cannot import name 'x'")) is None
-    assert message(TypeError("a bug")) is None
+    assert message(ImportError("cannot import name 'x'")) is None and message(TypeError("a bug")) is None
 
 
 def test_environment_and_arguments_are_put_back(tmp_path, monkeypatch, capsys):
@@ -442,5 +436,4 @@ def test_environment_and_arguments_are_put_back(tmp_path, monkeypatch, capsys):
     before = list(sys.argv)
     seen = []
     launch.launch("config", lambda config: seen.append((config.seed, sys.argv[1:])), ["seed=4"])
-    assert seen == [(4, ["seed=4"])]
-    assert sys.argv == before and "HYDRA_FULL_ERROR" not in os.environ
+    assert seen == [(4, ["seed=4"])] and sys.argv == before and "HYDRA_FULL_ERROR" not in os.environ

@@ -1,5 +1,7 @@
 """Photographs of phones and of raw converters: HEIC, 16 bits, colour profiles."""
 
+import struct
+
 import av
 import numpy as np
 import pytest
@@ -66,7 +68,10 @@ def test_levels_that_cannot_be_told_are_refused_in_one_line(tmp_path):
 
 
 def display_p3():
-    """A profile with Display P3's primaries and sRGB's curve, as phones write: sRGB's with other columns."""
+    """A profile with Display P3's primaries and sRGB's curve, as phones write: sRGB's with other columns.
+
+    It keeps sRGB's name, as profiles of linear colours have that name in theirs.
+    """
     data = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
     columns = {
         "rXYZ": (0.51512, 0.2412, -0.00105),
@@ -79,23 +84,35 @@ def display_p3():
         if (name := entry[:4].decode()) in columns:
             numbers = [round(value * 65536) for value in columns[name]]
             data[offset + 8 : offset + 20] = b"".join(value.to_bytes(4, "big", signed=True) for value in numbers)
-    renamed = bytes(data).replace("sRGB".encode("utf-16-be"), "DiP3".encode("utf-16-be"))
-    return renamed.replace(b"sRGB built", b"DiP3 built")
+    return bytes(data)
 
 
-@pytest.mark.parametrize("suffix", ["jpg", "heic"])
+@pytest.mark.parametrize("suffix", ["jpg", "heic", "png"])
 def test_colours_of_another_profile_become_srgb(tmp_path, suffix):
     """Display P3's red of 0.8 is sRGB's (0.862, ...); grey stays grey."""
     if suffix == "heic":
         opening.formats()  # lets Pillow write it
     for name, colour in (("red", (204, 76, 51)), ("grey", (120, 120, 120))):
         path = tmp_path / f"{name}.{suffix}"
-        Image.new("RGB", (32, 32), colour).save(path, icc_profile=display_p3(), quality=98)
+        image = Image.new("RGB", (32, 32), colour).convert("P" if suffix == "png" else "RGB", palette=Image.ADAPTIVE)
+        image.save(path, icc_profile=display_p3(), quality=98)
         linear = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in np.array(colour) / 255])
         matrix = np.array([[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]])
         converted = matrix @ linear
         wanted = 255 * np.where(converted <= 0.0031308, 12.92 * converted, 1.055 * converted ** (1 / 2.4) - 0.055)
         assert np.abs(np.asarray(open_image(path)).mean((0, 1)) - wanted).max() < 3, name
+
+
+@pytest.mark.parametrize("mode", ["L", "I;16"])
+def test_linear_grey_becomes_srgb(tmp_path, mode):
+    """Half of the light has a level of 188; a grey image whose profile is of RGB stays as it is."""
+    curve = b"kTRC" + struct.pack(">IIIII", 144, 12, 0x63757276, 0, 0)  # "curv" without entries
+    header = struct.pack(">I4xI12s12x4s28x3I48x", 156, 0x2400000, b"mntrGRAYXYZ ", b"acsp", 63190, 65536, 54061)
+    linear = header + struct.pack(">I", 1) + curve
+    half = Image.new(mode, (8, 8), 128 if mode == "L" else 128 * 257)
+    for name, profile, level in (("grey", linear, 188), ("rgb", display_p3(), 128)):
+        half.save(tmp_path / f"{name}.png", icc_profile=profile)
+        assert np.asarray(open_image(tmp_path / f"{name}.png")).tolist() == [[[level] * 3] * 8] * 8
 
 
 def test_a_damaged_profile_is_left_out(tmp_path, caplog):
@@ -111,8 +128,7 @@ def test_a_phones_heic_is_upright_once_and_has_its_lens(tmp_path):
     exif[ExifTags.Base.Orientation], exif[ExifTags.Base.Model] = 6, "iPhone 15"
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
     Image.fromarray(ramp()).save(tmp_path / "a.heic", exif=exif.tobytes(), quality=95)
-    assert b"irot" in (tmp_path / "a.heic").read_bytes()
-    assert image_size(tmp_path / "a.heic") == (48, 64)
+    assert b"irot" in (tmp_path / "a.heic").read_bytes() and image_size(tmp_path / "a.heic") == (48, 64)
     shown = np.asarray(open_image(tmp_path / "a.heic")).astype(int)
     assert np.abs(shown - np.rot90(ramp(), -1)).mean() < 4
     [original] = read_originals([tmp_path], longest=64, max_views=4)

@@ -113,12 +113,10 @@ def test_folders_in_a_folder_are_read(tmp_path, caplog):
     (tmp_path / "images_2" / "cam2").mkdir(parents=True)
     save(tmp_path / "images_2" / "cam2" / "1.png")
     views, sources = read(tmp_path)
-    assert views.names == ("cam2_1", "cam2_2", "cam10_1")
-    assert sources[0].path == tmp_path / "images" / "cam2" / "1.png"
+    assert views.names == ("cam2_1", "cam2_2", "cam10_1") and sources[0].path == tmp_path / "images" / "cam2" / "1.png"
     assert "are those in cam2, cam10" in caplog.text
     save(tmp_path / "images" / "0.png")
-    assert read(tmp_path)[0].names == ("0",)
-    assert "those in cam2, cam10 are left out" in caplog.text
+    assert read(tmp_path)[0].names == ("0",) and "those in cam2, cam10 are left out" in caplog.text
 
 
 def test_many_photographs_are_thinned_evenly(tmp_path):
@@ -353,8 +351,7 @@ def test_photographs_that_are_not_developed_are_named(tmp_path, caplog):
         (tmp_path / "360" / "IMG_1.insp").write_bytes(b"two circles")
         read(tmp_path / "360")
     save(tmp_path / "a.jpg")
-    assert read(tmp_path)[0].images.shape[1] == 1
-    assert "1 photographs in" in caplog.text and "(CR3)" in caplog.text
+    assert read(tmp_path)[0].images.shape[1] == 1 and "1 photographs in" in caplog.text and "(CR3)" in caplog.text
 
 
 def test_panoramas_are_no_photographs(tmp_path, caplog):
@@ -362,8 +359,7 @@ def test_panoramas_are_no_photographs(tmp_path, caplog):
     for name, kind in (("sphere", b"equirectangular"), ("phone", b"cylindrical"), ("plain", b"perspective")):
         Image.linear_gradient("L").resize((64, 32)).save(tmp_path / f"{name}.jpg", xmp=xmp % kind)
     views, _ = read_views([tmp_path], short_side=28, multiple=14, max_views=4)
-    assert views.names == ("plain",)
-    assert "sphere.jpg is a panorama (equirectangular, 64x32)" in caplog.text
+    assert views.names == ("plain",) and "sphere.jpg is a panorama (equirectangular, 64x32)" in caplog.text
     assert "phone.jpg is a panorama (cylindrical, 64x32)" in caplog.text
     assert "all photographs are twice as wide as high, as 360° cameras take them" in caplog.text
     originals = read_originals([tmp_path], longest=28, max_views=4)

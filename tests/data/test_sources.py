@@ -70,8 +70,7 @@ def test_a_rigs_photographs_of_one_name_are_told_apart(capture):
 
 def test_opengl_cameras_become_opencv_cameras_of_the_view(capture):
     views = source(capture).read(1, [0, 2])
-    assert views.names == ("f_1", "f_10")
-    assert views.size == (16, 24)
+    assert views.names == ("f_1", "f_10") and views.size == (16, 24)
     pose = views.cameras.world_from_camera[0, 1].numpy()
     np.testing.assert_allclose(pose[:3, :3], rotation(1.0) @ np.diag([1, -1, -1]), atol=1e-6)
     np.testing.assert_allclose(pose[:3, 3], [10, 2, 3])
@@ -85,8 +84,7 @@ def test_an_index_names_scenes_and_may_not_leave_the_root(capture, caplog):
     (capture / "train_index.json").write_text(json.dumps(["b10", "gone"]))
     with caplog.at_level(logging.WARNING):
         scenes = source(capture, index="train_index.json")
-    assert [scenes.name(scene) for scene in range(len(scenes))] == ["b10"]
-    assert "1 of 2 scenes" in caplog.text
+    assert [scenes.name(scene) for scene in range(len(scenes))] == ["b10"] and "1 of 2 scenes" in caplog.text
     (capture / "bad.json").write_text(json.dumps(["../../etc"]))
     with pytest.raises(ValueError, match="outside"):
         source(capture, index="bad.json")
@@ -185,8 +183,7 @@ def test_a_folder_of_styles_with_captions(tmp_path):
     styles = FolderStyles(root=str(tmp_path), size=16)
     assert len(styles) == 2
     first, second = styles.read(0), styles.read(1)
-    assert (first.names, first.text) == (("s9",), ("",))
-    assert second.text == ('grey; "quoted"',)
+    assert (first.names, first.text) == (("s9",), ("",)) and second.text == ('grey; "quoted"',)
     # The middle square is all that is seen.
     assert second.image.min().item() * 255 > 180
     (tmp_path / "captions.jsonl").write_text('{"image": "s10.png"}\n')

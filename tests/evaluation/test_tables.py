@@ -71,8 +71,7 @@ def test_what_is_no_evaluation_is_told_apart(tmp_path):
 def test_markdown_is_a_table_whatever_the_words():
     made = Table(("a|b", "c"), (("x\ny", "1"), ("long word", "22")), caption="Title", notes=("note",))
     title, _, *lines = made.markdown().splitlines()
-    assert title == "**Title**"
-    assert [len(line) for line in lines[:4]] == [len(lines[0])] * 4
+    assert title == "**Title**" and [len(line) for line in lines[:4]] == [len(lines[0])] * 4
     assert lines[0] == r"| a\|b      | c   |" and lines[2].startswith("| x y ")
     assert lines[1] == "|-----------|----:|" and lines[-1] == "note"
 

@@ -23,8 +23,7 @@ def test_a_similarity_of_cameras_is_found_and_undone():
     target[:, :3, :3] = turn @ source[:, :3, :3]
     target[:, :3, 3] = 2.5 * source[:, :3, 3] @ turn.T + shift
     found = similarity_of_cameras(source, target)
-    assert float(found.scale) == pytest.approx(2.5)
-    assert torch.allclose(found.poses(source), target, atol=1e-9)
+    assert float(found.scale) == pytest.approx(2.5) and torch.allclose(found.poses(source), target, atol=1e-9)
     # Cameras on one spot leave the scale open: it is kept.
     alone = similarity_of_cameras(source[:1], target[:1])
     assert float(alone.scale) == 1.0 and torch.allclose(alone.poses(source[:1]), target[:1], atol=1e-9)

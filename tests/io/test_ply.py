@@ -59,8 +59,7 @@ def test_extremes_stay_finite_and_padding_is_left_out(tmp_path):
     gaussians.scales[0, 1] = 0.0
     gaussians.save(tmp_path / "scene.ply")
     vertex = PlyData.read(tmp_path / "scene.ply")["vertex"]
-    assert vertex.count == 3
-    assert all(np.isfinite(vertex[item.name]).all() for item in vertex.properties)
+    assert vertex.count == 3 and all(np.isfinite(vertex[item.name]).all() for item in vertex.properties)
 
 
 def test_other_files_are_refused(tmp_path):

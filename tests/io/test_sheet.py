@@ -17,11 +17,9 @@ def test_pixels_are_rounded_to_nearest():
 def test_cells_keep_their_aspect_and_stand_in_their_places():
     red, wide = Image.new("RGB", (10, 10), (255, 0, 0)), Image.new("RGB", (40, 10), (0, 0, 255))
     sheet = np.asarray(contact_sheet([[red, wide], [None, TextCard("blue")]], cell=(40, 40), gap=4))
-    assert sheet.shape == (4 + 2 * 44, 4 + 2 * 44, 3)
-    assert (sheet[4:44, 4:44] == (255, 0, 0)).all()
+    assert sheet.shape == (4 + 2 * 44, 4 + 2 * 44, 3) and (sheet[4:44, 4:44] == (255, 0, 0)).all()
     blue = (sheet == (0, 0, 255)).all(-1)
-    assert blue.sum() == 40 * 10
-    assert (sheet[48:88, 4:44] == 255).all()
+    assert blue.sum() == 40 * 10 and (sheet[48:88, 4:44] == 255).all()
     assert (sheet[48:88, 48:88] < 100).any()
     with pytest.raises(ValueError, match="rows of one length"):
         contact_sheet([[None], [None, None]])
@@ -55,6 +53,5 @@ def test_pycolmap_before_pillow_is_refused_before_it_ends_the_process(tmp_path):
     lines = "import pycolmap; from PIL import Image; from anystyle.io.sheet import save_png; "
     program = [sys.executable, "-c", lines + "save_png(Image.new('RGB', (64, 64)), 'a.png')"]
     ended = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert ended.returncode == 1
-    assert "UserError: pycolmap was imported before Pillow" in ended.stderr
+    assert ended.returncode == 1 and "UserError: pycolmap was imported before Pillow" in ended.stderr
     assert not (tmp_path / "a.png").exists()

@@ -178,8 +178,7 @@ def test_crops_are_independent_unless_shared() -> None:
     result = stylization(rendered, photographs, direction=DIRECTION[:1])
     ClipPatch(style_encoder=encoder, crops=5, size=None)(result)
     patches = torch.cat(seen[1:])
-    assert patches.shape == (20, 3, 64, 64)
-    assert len({patch.numpy().tobytes() for patch in patches}) == 20
+    assert patches.shape == (20, 3, 64, 64) and len({patch.numpy().tobytes() for patch in patches}) == 20
     seen.clear()
     ClipPatch(style_encoder=encoder, shared_crop=True, size=None)(result)  # photographs are known from before
     assert len({patch.numpy().tobytes() for patch in torch.cat(seen)}) == 1
@@ -194,8 +193,7 @@ def test_crops_follow_the_global_generator_in_training_and_nothing_out_of_it() -
         return [loss(result).item() for _ in range(2)]
 
     first = values(1)
-    assert first[0] != first[1]
-    assert values(1) == first and values(2) != first
+    assert first[0] != first[1] and values(1) == first and values(2) != first
     loss.eval()
     assert len({*values(1), *values(2)}) == 1
 

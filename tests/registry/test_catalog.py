@@ -9,6 +9,7 @@ import pytest
 
 import anystyle.registry.catalog as module
 from anystyle.contracts import Placement
+from anystyle.errors import Terminated
 from anystyle.registry.builtin import BUILTIN, KINDS, MANY
 from anystyle.registry.catalog import PluginError, base_of, catalog, plugin
 
@@ -56,6 +57,12 @@ def test_a_broken_plugin_is_listed_without_import_and_told_in_one_line_when_load
         row.load()
     assert "\n" not in str(caught.value)
     assert issubclass(catalog().find("placement", "head").load(), Placement)
+
+
+def test_a_signal_while_a_plugin_is_imported_is_no_error_of_it(plugin_folder):
+    plugin_folder("from anystyle.errors import Terminated\nraise Terminated(143)", broken="Broken")
+    with pytest.raises(Terminated):
+        catalog().find("placement", "broken").load()
 
 
 def test_module_of_another_place_is_refused(plugin_folder):

@@ -11,14 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-from anystyle.errors import UserError, one_line
+from anystyle.errors import Terminated, UserError, one_line
 
 FAILED, INTERRUPTED = 2, 130
 _FULL = ("ANYSTYLE_TRACEBACK", "HYDRA_FULL_ERROR")
-
-
-class Terminated(SystemExit):
-    """The exit after SIGTERM."""
 
 
 def run(command: Callable[[], Any]) -> None:

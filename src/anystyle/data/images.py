@@ -129,15 +129,22 @@ def _averaging(image: Image.Image) -> Image.Image:
 
 def _to_srgb(image: Image.Image) -> Image.Image:
     """Colours of the profile in an image's file as sRGB."""
-    profile = image.info.get("icc_profile")
-    if not profile or image.mode not in ("RGB", "RGBA", "CMYK"):
+    profile = image.info.get("icc_profile") or b""
+    if profile and image.mode == "P":
+        image = image.convert("RGBA" if _has_alpha(image) else "RGB")
+    if profile and image.mode.startswith("I"):
+        image = _to_rgb(image).convert("L")
+    # Programs that make a picture grey may leave the profile of its colours in it.
+    if not profile or image.mode not in ("RGB", "RGBA", "CMYK", "L" if profile[16:20] == b"GRAY" else ""):
         return image
     try:
-        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        if "sRGB" in ImageCms.getProfileDescription(source):
+        source, srgb = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")
+        # Most images have sRGB's own profile, whatever its name; to convert all their pixels takes as long as decoding.
+        colors = Image.merge("RGB", [Image.linear_gradient("L").rotate(turn) for turn in (0, 90, 180)])
+        same = image.mode in ("RGB", "RGBA") and ImageCms.profileToProfile(colors, source, srgb)
+        if same and same.tobytes() == colors.tobytes():
             return image
-        mode = "RGB" if image.mode == "CMYK" else image.mode
-        converted = ImageCms.profileToProfile(image, source, ImageCms.createProfile("sRGB"), outputMode=mode)
+        converted = ImageCms.profileToProfile(image, source, srgb, outputMode="RGBA" if image.mode == "RGBA" else "RGB")
     except (ImageCms.PyCMSError, OSError) as error:
         logger.warning("a colour profile cannot be read, and its colours are taken for sRGB (%s)", one_line(error))
         return image

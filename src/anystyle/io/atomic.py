@@ -68,7 +68,8 @@ def atomic_directory(target: str | Path, expected: Collection[str] = (), *, over
     """
     target = Path(target)
     with _made_folder(target):
-        earlier = made_in(target)
+        made = kept_json(target / MADE, list[str]) or ()
+        earlier = frozenset(name for name in made if os.path.lexists(target / name))
         _refuse_foreign(target, expected, earlier)
         temporary = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=target))
         try:
@@ -96,12 +97,6 @@ def atomic_directory(target: str | Path, expected: Collection[str] = (), *, over
 def final(path: Path) -> Path:
     """Where a file will be that is written into a folder of :func:`atomic_directory`: to tell of it."""
     return Path(*(part for part in path.parts if not part.startswith(PARTIAL)))
-
-
-def made_in(folder: Path) -> frozenset[str]:
-    """The files in a folder that :func:`atomic_directory` made there, as far as they are still there."""
-    names = kept_json(folder / MADE, list[str]) or ()
-    return frozenset(name for name in names if os.path.lexists(folder / name))
 
 
 @contextmanager

@@ -287,7 +287,10 @@ def unpack(data: PlyData) -> dict[str, NDArray[Any]]:
         shift, top = ((21, 2047), (11, 1023), (0, 2047))[index]  # 11, 10 and 11 bits
         columns[axis] = between((vertex["packed_position"] >> shift & top) / top, axis)
         columns[f"scale_{index}"] = between((vertex["packed_scale"] >> shift & top) / top, f"scale_{axis}")
-    quaternions = smallest_three_to_wxyz(vertex["packed_rotation"].astype(np.uint32))
+    # 2 + 3 x 10 bits: the index of the largest of wxyz, then the others as fractions of ±1/√2.
+    packed = vertex["packed_rotation"].astype(np.uint32)
+    fractions = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], 1) / 1023
+    quaternions = from_smallest_three((packed >> 30).astype(np.int64), (fractions - 0.5) * sqrt(2))
     columns |= {f"rot_{index}": quaternions[:, index] for index in range(4)}
     *colors, alpha = ((vertex["packed_color"] >> shift & 255) / 255 for shift in (24, 16, 8, 0))
     for index, (channel, values) in enumerate(zip("rgb", colors, strict=True)):
@@ -302,12 +305,6 @@ def unpack(data: PlyData) -> dict[str, NDArray[Any]]:
             middle = (packed.astype(np.float64) + 0.5) / 256
             columns[name] = 8 * (np.select([packed == 0, packed == 255], [0.0, 1.0], middle) - 0.5)
     return columns
-
-
-def smallest_three_to_wxyz(packed: NDArray[np.uint32]) -> Float[np.ndarray, "N 4"]:
-    """Quaternions of 2 + 3 x 10 bits: the index of the largest of wxyz, then the others as fractions of ±1/√2."""
-    fractions = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], 1) / 1023
-    return from_smallest_three((packed >> 30).astype(np.int64), (fractions - 0.5) * sqrt(2))
 
 
 def from_smallest_three(largest: NDArray[np.int64], others: NDArray[np.float64]) -> Float[np.ndarray, "N 4"]:

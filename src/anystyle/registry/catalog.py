@@ -24,7 +24,7 @@ from typing import Any, ClassVar, TypeVar
 import msgspec
 
 from anystyle import paths
-from anystyle.errors import UserError, one_line, unknown
+from anystyle.errors import Terminated, UserError, one_line, unknown
 from anystyle.io.documents import read_toml
 from anystyle.paths import expanded
 from anystyle.registry.builtin import BUILTIN, KINDS
@@ -139,6 +139,8 @@ def _import(plugin: Plugin) -> Any:
     try:
         module = importlib.import_module(module_name)
         value = attrgetter(qualified)(module)
+    except Terminated:
+        raise
     except (Exception, SystemExit) as error:
         reason = f"{type(error).__name__}: {one_line(error)}".rstrip(": ")
         raise PluginError(f"{plugin} cannot be imported: {reason}{location_in(error, module_name)}") from error

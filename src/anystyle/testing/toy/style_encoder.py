@@ -36,12 +36,9 @@ class ToyStyleEncoder(StyleEncoder):
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         if any(not text.strip() for text in texts):
             raise ValueError("a style text is empty; describe the style, such as 'blue and white'")
-        return self._embed(torch.stack([self._mean_color(text) for text in texts]))
+        words = [text.lower().replace(",", " ").split() for text in texts]
+        named = [[PALETTE[word] for word in of_text if word in PALETTE] or [(0.5, 0.5, 0.5)] for of_text in words]
+        return self._embed(torch.stack([torch.tensor(colors).mean(0) for colors in named]))
 
     def _embed(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
         return F.normalize(F.pad(self.strength * (colors - 0.5), (0, 1), value=1.0), dim=-1)
-
-    def _mean_color(self, text: str) -> Float[Tensor, "3"]:
-        words = text.lower().replace(",", " ").split()
-        named = [PALETTE[word] for word in words if word in PALETTE] or [(0.5, 0.5, 0.5)]
-        return torch.tensor(named).mean(0)
