@@ -13,6 +13,7 @@ from torch import Tensor
 from anystyle.errors import UserError, one_line
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.masks import Sphere
 from anystyle.pipeline.saved import UNSTYLED
 from anystyle.registry.catalog import catalog
 from anystyle.types import Gaussians, StyledScene
@@ -118,10 +119,13 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
 
     def _add_place_controls(self) -> None:
         gui = self.viser.gui
-        self._point: Vector | None = None
+        kept = self.session.wanted.controls.mask
+        near = kept if isinstance(kept, Sphere) else None
+        self._point = near and near.center
+        far = min(2.0, max(0.05, round(near.radius / self.path.distance, 2))) if near else 0.3
         with gui.add_folder("Place", expand_by_default=False, order=1.5):
             gui.add_markdown("Shift-click the scene: the style stays near that place.")
-            self.reach = gui.add_slider("Reach", 0.05, 2.0, 0.05, 0.3, hint="1 is how far the scene is from the camera")
+            self.reach = gui.add_slider("Reach", 0.05, 2.0, 0.05, far, hint="1 is how far the scene is from the camera")
             everywhere = gui.add_button("Everywhere")
 
         everywhere.on_click(lambda _: self._pick(None))

@@ -21,6 +21,7 @@ from anystyle_viewer.command import View, open_session
 from anystyle_viewer.picking import surface_point
 from anystyle_viewer.server import MAX_SIDE, MAX_UPLOAD, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
+from anystyle_viewer.viewer import Viewer
 from tests.support.browser import until
 from tests.support.viewer_scene import FOCAL, SIZE, camera, write_scene
 
@@ -63,8 +64,7 @@ def test_a_saved_scene_takes_new_styles_and_going_back_costs_nothing(restyler, s
     assert torch.equal(first.means, restyler.unstyled.means)
     assert not torch.equal(first.harmonics, restyler.unstyled.harmonics)
     second = settled(session, swirls)
-    assert not torch.equal(first.harmonics, second.harmonics)
-    assert settled(session, red) is first
+    assert not torch.equal(first.harmonics, second.harmonics) and settled(session, red) is first
     kept = settled(session, replace(red, preserve_color=1.0))
     torch.testing.assert_close(kept.harmonics, with_colors_of(restyler.unstyled, first).harmonics)
     half = settled(session, replace(red, strength=0.5))
@@ -85,8 +85,7 @@ def test_a_style_stays_near_where_the_ray_of_a_click_ends(restyler, session):
     place = f"sphere:{','.join(map(str, point))},0.4"
     there = settled(session, StyleRequest("blue waves", place=place))
     near = (unstyled.means[0] - torch.tensor(point)).norm(dim=1) <= 0.4
-    assert 0 < int(near.sum()) < len(near)
-    assert torch.equal(there.harmonics[0, near], red.harmonics[0, near])
+    assert 0 < int(near.sum()) < len(near) and torch.equal(there.harmonics[0, near], red.harmonics[0, near])
     assert torch.equal(there.harmonics[0, ~near], unstyled.harmonics[0, ~near])
     assert f"--mask {place}" in session.command("photos")
 
@@ -168,6 +167,17 @@ def test_what_cannot_be_painted_is_said_and_changes_nothing(restyler, session):
     session.request(StyleRequest("word " * 1000))
     until(lambda: "characters" in session.status)
     assert session.current == StyleRequest() and session.gaussians is restyler.unstyled and session.in_progress is None
+
+
+def test_a_style_stays_near_its_place_after_the_next_start(restyler, tmp_path):
+    with Viewer(Session(restyler, folder=tmp_path), tmp_path, ("scene.ply", [])) as viewer:
+        viewer._point, viewer.reach.value = (0.25, -0.5, 3.0), 0.45
+        viewer.request("red dots")
+        wanted = viewer.session.wanted
+        until(lambda: viewer.session.current == wanted)
+    with Viewer(Session(restyler, folder=tmp_path), tmp_path, ("scene.ply", [])) as viewer:
+        viewer.request("green")
+        assert viewer.session.wanted == replace(wanted, style="green") and "sphere:0.25,-0.5,3," in wanted.place
 
 
 def test_closing_loses_nothing_and_a_damaged_memory_is_no_obstacle(restyler, tmp_path):
