@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from anystyle.data.folder import cover, read_originals, read_views, tell_of_cut
 from anystyle.data.images import SUFFIXES
@@ -354,9 +355,20 @@ def test_photographs_that_are_not_developed_are_named(tmp_path, caplog):
     assert read(tmp_path)[0].images.shape[1] == 1 and "1 photographs in" in caplog.text and "(CR3)" in caplog.text
 
 
+def test_photographs_of_high_dynamic_range_are_told(tmp_path, caplog):
+    for name, transfer in (("pq", 16), ("hlg", 18), ("srgb", 13)):
+        chunk = PngInfo()
+        chunk.add(b"cICP", bytes([9, transfer, 0, 1]))
+        Image.new("RGB", (32, 32)).save(tmp_path / f"{name}.png", pnginfo=chunk)
+    read(tmp_path)
+    assert "(PQ or HLG) come out pale, save them as SDR: hlg.png, pq.png" in caplog.messages[-1]
+
+
 def test_panoramas_are_no_photographs(tmp_path, caplog):
     xmp = b'<rdf:Description xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" GPano:ProjectionType="%s"/>'
-    for name, kind in (("sphere", b"equirectangular"), ("phone", b"cylindrical"), ("plain", b"perspective")):
+    part = b'equirectangular" GPano:FullPanoWidthPixels="128" GPano:CroppedAreaImageWidthPixels="64'
+    kinds = {"sphere": b"equirectangular", "phone": b"cylindrical", "plain": b"perspective", "part": part}
+    for name, kind in kinds.items():
         Image.linear_gradient("L").resize((64, 32)).save(tmp_path / f"{name}.jpg", xmp=xmp % kind)
     views, _ = read_views([tmp_path], short_side=28, multiple=14, max_views=4)
     assert views.names == ("plain",) and "sphere.jpg is a panorama (equirectangular, 64x32)" in caplog.text
@@ -364,3 +376,4 @@ def test_panoramas_are_no_photographs(tmp_path, caplog):
     assert "all photographs are twice as wide as high, as 360° cameras take them" in caplog.text
     originals = read_originals([tmp_path], longest=28, max_views=4)
     assert [one.name for one in originals] == ["plain", "sphere"] and originals[1].picture.size == (64, 32)
+    assert "part.jpg is a panorama (part of equirectangular, 64x32)" in caplog.text

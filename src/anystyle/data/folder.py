@@ -340,8 +340,12 @@ def _shots(inputs: Sequence[Path], max_views: int, *, panoramas: bool = False) -
                 shots.append(_Shot(path, text_of(path.stem), images.photograph_size(path, panoramas=panoramas)))
         except ValueError as error:
             problems.append(str(error))
+    if bright := [shot.path.name for shot in shots if not shot.frame and images.is_hdr(shot.path)]:
+        told = "photographs of high dynamic range (PQ or HLG) come out pale, save them as SDR: %s"
+        _log.warning(told, listing(bright, 3))
     if not panoramas and shots and all(width == 2 * height for _, _, (width, height), _ in shots):
-        _log.warning("all photographs are twice as wide as high, as 360° cameras take them; poses=sfm cuts them")
+        told = "poses=sfm views.panorama=6 cuts them"
+        _log.warning("all photographs are twice as wide as high, as 360° cameras take them; %s", told)
     return shots or _nothing(problems), problems
 
 

@@ -25,6 +25,9 @@ SUFFIXES = frozenset(
 )
 """File names that are taken for images in a folder."""
 
+_HDR = re.compile(rb"colrnclx..\0[\x10\x12]|cICP.[\x10\x12]", re.DOTALL)
+"""What AVIF, HEIF and PNG files whose transfer function is PQ or HLG begin with; the numbers are of ITU-T H.273."""
+
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
     """Width and height of the upright image, from its header only; messages call bytes by ``name``."""
@@ -47,10 +50,21 @@ def photograph_size(path: Path, *, panoramas: bool = False) -> tuple[int, int]:
 
 
 def panorama_tag(path: Path) -> str:
-    """The projection that 360° cameras and phones write, ``equirectangular`` or ``cylindrical``, or nothing."""
+    """The projection that 360° cameras and phones write, ``equirectangular`` or ``cylindrical``, or nothing.
+
+    It is ``part of equirectangular`` where the image was cropped out of a whole one.
+    """
     with opened(path) as image:
-        found = re.search(rb"GPano:ProjectionType\W{1,4}(equirectangular|cylindrical)", image.info.get("xmp", b""))
-    return found[1].decode() if found else ""
+        xmp = image.info.get("xmp", b"")
+    found = re.search(rb"GPano:ProjectionType\W{1,4}(equirectangular|cylindrical)", xmp)
+    widths = {*re.findall(rb"GPano:(?:FullPano|CroppedAreaImage)WidthPixels\W{1,4}(\d+)", xmp)}
+    return f"{'part of ' * (len(widths) > 1)}{found[1].decode()}" if found else ""
+
+
+def is_hdr(path: Path) -> bool:
+    """Whether a photograph is of high dynamic range (PQ or HLG), and its colours come out pale."""
+    with path.open("rb") as file:
+        return _HDR.search(file.read(1 << 16)) is not None
 
 
 def read_exif(path: Path) -> Image.Exif:
