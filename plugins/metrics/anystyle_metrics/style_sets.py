@@ -88,10 +88,11 @@ class StyleSet(Metric):
             text = "there is no scene in two styles, or nothing to choose among; the scores are nan"
             warnings.warn(f"{next(iter(found))}: {text}", stacklevel=2)
         for name in (name for name in found if name.endswith("_gap")):
-            of_styles = found[name][~found[name].isnan()].unique()
-            if unlike := int((of_styles <= 0).sum()):
-                text = f"{name.removesuffix('_gap')} does not tell {unlike} of {len(of_styles)} styles from another one"
-                warnings.warn(f"{text}: halves of them are no more alike than of two ({name} <= 0)", stacklevel=2)
+            styles, gap = stacked(self.styles), found[name]
+            if (gap <= 0).any():
+                unlike, told = (len(styles[rows].unique(dim=0)) for rows in (gap <= 0, ~gap.isnan()))
+                text = f"{name.removesuffix('_gap')} does not tell {unlike} of {told} styles from another one"
+                warnings.warn(f"{text}: halves of them are no more alike than of two ({name} ≤ 0)", stacklevel=2)
         return {name: values.nanmean().float() for name, values in found.items()}
 
     def of_each_row(self) -> dict[str, Float[Tensor, " N"]]:

@@ -236,10 +236,13 @@ def test_a_hub_is_corrected_and_styles_that_are_not_told_apart_are_counted():
     metric.update(rows, style=style, scenes=("one",) * 4)
     assert metric.compute()["colours"] < metric.compute()["colours_csls"] == 1 and metric.compute()["colours_gap"] > 0
     style[:2, :, :4], style[:2, :, 4:] = colour[:1], colour[1:2]  # each half is the other one's
-    metric.reset()
-    metric.update(rows, style=style, scenes=("one",) * 4)
-    with pytest.warns(UserWarning, match="colours does not tell 1 of 3 styles from another"):
-        metric.compute()
+    turned = style.clone()
+    turned[1] = style[1].flip(1)  # another style, whose halves are as unlike
+    for shown, counted in ((style, "1 of 3"), (turned, "2 of 4")):
+        metric.reset()
+        metric.update(rows, style=shown, scenes=("one",) * 4)
+        with pytest.warns(UserWarning, match=f"colours does not tell {counted} styles from another"):
+            metric.compute()
 
 
 def test_csd_needs_its_own_weights(tmp_path):
