@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, StylePredictor, neutral_embedding
 from anystyle.errors import UserError
 from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Tokens, Views
-from anystyle.types.shapes import check_tensor
+from anystyle.types.shapes import check_tensor, check_value
 
 
 class Stylizer(nn.Module):
@@ -182,7 +182,10 @@ class Stylizer(nn.Module):
             _check_cameras(cameras)
         if given == 1 and batch > 1:
             cameras = cameras.expand(batch)
-        return self.renderer(gaussians, cameras)
+        renders, (height, width) = self.renderer(gaussians, cameras), cameras.size
+        where = f"the renderer {type(self.renderer).__qualname__}"
+        check_value(renders, Renders, where, B=batch, V=cameras.intrinsics.shape[1], H=height, W=width)
+        return renders
 
     def _check_images(self, images: Float[Tensor, "*batch 3 _ _"], what: str) -> None:
         """Refuse images that are empty, not sRGB in [0, 1], or not where the model is."""

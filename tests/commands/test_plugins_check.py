@@ -47,6 +47,11 @@ BAD = {
     # ruff: noqa: E501
     "abstract": ("renderer", "class Mine(Renderer):\n    'A renderer.'\n", "Mine lacks __call__"),
     "undescribed": ("placement", "class Mine(ToyPlacement): ...\n", "Mine without a docstring"),
+    "unannotated": (
+        "placement",
+        PLACEMENT.format(body="def __init__(self, *, depth=3): ..."),
+        "placement 'unannotated' (bad_unannotated:Mine, declared by bad_unannotated) does not annotate 'depth'",
+    ),
     "broken_constructor": (
         "placement",
         PLACEMENT.format(body="def __init__(self): raise RuntimeError('no such file: sites.json')"),

@@ -448,7 +448,11 @@ MUTANTS = {
     ],
     "method": [
         (changed(ToyMethod, "__call__", scale("opacities", float("nan"))), "gives_gaussians"),
+        (changed(ToyMethod, "__call__", lambda g: g.map(lambda tensor: tensor[:, :0])), "gives_gaussians"),
+        (changed(ToyMethod, "__call__", lambda g: replace(g, harmonics=g.harmonics.half())), "gives_gaussians"),
         (Painting, "leaves_the_scene_alone"),
+        # What a scene of given Gaussians has, the result has, too.
+        (changed(ToyMethod, "__call__", lambda g: replace(g, means=g.means.mul_(2))), "leaves_the_scene_alone"),
     ],
     "correspondence": [
         (

@@ -104,7 +104,8 @@ def name_plugin(error: BaseException) -> None:
 
     rows = [row for row in catalog() if row.origin != "anystyle"]
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][::-1]
-    raised = (_package(frame.f_globals.get("__name__")) for frame in frames)
+    at_work = ((frame.f_globals.get("__name__"), type(frame.f_locals.get("self")).__module__) for frame in frames)
+    raised = (_package(module) for modules in at_work for module in modules)
     package = next((name for name in raised if name in {_package(row.target) for row in rows}), None)
     if package is None:
         return

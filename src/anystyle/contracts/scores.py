@@ -127,7 +127,8 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     @final
     def scores(self) -> dict[str, Tensor]:
         """What :meth:`compute` returns, by name, for a metric with one score as well."""
-        return value if isinstance(value := self.compute(), dict) else dict.fromkeys(self.better, value)
+        found = value if isinstance(value := self.compute(), dict) else dict.fromkeys(self.better, value)
+        return {name: torch.as_tensor(score).reshape(()) for name, score in found.items()}
 
     def merge_state(self, incoming_state: dict[str, Any] | torchmetrics.Metric) -> None:
         """Take in what another metric of this class, or its ``metric_state``, has taken in."""

@@ -27,6 +27,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, OnProgress, Scene, StyledScene, StyleEmbedding, no_progress
+from anystyle.types.shapes import check_value
 from anystyle.vision.weights import license_lines, licenses
 
 _log = logging.getLogger(__name__)
@@ -70,7 +71,9 @@ class Restyler:
         keep_freed(8 << 20)  # less than the pictures that are painted
 
         def restyle(scene: Scene) -> Gaussians:
-            return self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
+            styled = self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
+            check_value(styled, Gaussians, f"the method {type(self.method).__qualname__}", B=1)
+            return styled
 
         styled = _finite(self.encoded.gaussians(restyle), f"the scene in the style {style.title}")
         before = self.encoded.groups[0].scene.gaussians
@@ -101,8 +104,8 @@ def _finite(gaussians: Gaussians, what: str) -> Gaussians:
         if lost:
             raise UserError(
                 f"{lost} of {values.numel()} numbers of the {item.name} of {what} are NaN or infinite. `anystyle "
-                "plugins check backbone NAME` finds where a backbone of your own makes them; trained weights may need "
-                "precision=fp32"
+                "plugins check KIND NAME` finds where a backbone or method of your own makes them; trained weights may "
+                "need precision=fp32"
             )
     return gaussians
 

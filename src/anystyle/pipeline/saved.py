@@ -286,7 +286,7 @@ def _found_up(gaussians: Gaussians) -> tuple[str, str]:
     weights = gaussians.opacities[0] * area.clamp(max=float(area.quantile(0.9))) * (scales[:, 0] < FLAT * scales[:, 1])
     across = weights[:, None] * normals**4  # N 3
     shares, means, opacities = across.sum(0), gaussians.means[0].double(), gaussians.opacities[0].double()
-    heights = (means - (across * means).sum(0) / shares.clamp_min(1e-12)) / (means.std(0) + 1e-12)
+    heights = (means - (across * means).sum(0) / shares.clamp_min(1e-12)) / (means.std(0, correction=0) + 1e-12)
     over, under = (((side * heights > 0.2) * opacities[:, None]).sum(0) / opacities.sum() for side in (1, -1))
     for axis, up in ((1, "y"), (2, "z")):
         others = shares.sum() - shares[axis]

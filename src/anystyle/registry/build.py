@@ -56,6 +56,8 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
             raise PluginError(f"{plugin} needs '{name}', which is not available here")
     # Checked above against the constructor itself, which the contract's signature does not show.
     constructor: Any = plugin.load()
+    if missing := sorted(getattr(constructor, "__abstractmethods__", ())):
+        raise PluginError(f"{plugin} lacks {', '.join(missing)}, which every {kind} has")
     return constructor(**values, **{name: runtime[name] for name in named if name in runtime})
 
 

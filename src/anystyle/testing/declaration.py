@@ -2,7 +2,7 @@
 
 from omegaconf import OmegaConf
 
-from anystyle.registry.catalog import Plugin, base_of
+from anystyle.registry.catalog import Plugin, base_of, catalog
 from anystyle.registry.schema import node, plain
 from anystyle.testing.subject import Subject
 
@@ -11,7 +11,9 @@ def test_options_can_be_checked(plugin: Subject) -> None:
     """It implements every method, its options have types and defaults, and ``example`` returns options of these."""
     missing = sorted(getattr(plugin.cls, "__abstractmethods__", ()))
     assert not missing, f"{plugin.cls.__name__} lacks {', '.join(missing)}"
-    row = Plugin(plugin.kind, "checked", f"{plugin.cls.__module__}:{plugin.cls.__qualname__}", "", defined=plugin.cls)
+    module, cls = plugin.cls.__module__, plugin.cls
+    name = catalog().name_of(plugin.kind, cls)
+    row = Plugin(plugin.kind, name, f"{module}:{cls.__qualname__}", module, defined=cls)
     OmegaConf.merge(node(row), plain(dict(plugin.options)))
 
 

@@ -1,6 +1,7 @@
 """What a method promises: see :class:`anystyle.contracts.Method`."""
 
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -23,17 +24,21 @@ def test_gives_gaussians(plugin: Subject[Method]) -> None:
     """It gives finite Gaussians of one scene, without gradients, which can be rendered."""
     gaussians, (stylizer, scene) = _once(plugin), _world()
     check_value(gaussians, Gaussians, "the method", B=1)
+    single = all(tensor.dtype == torch.float32 for tensor in vars(gaussians).values())
+    assert gaussians.means.shape[1] > 0 and single, "there are no Gaussians, or they are not in single precision"
     asserts.finite(gaussians, "the stylized Gaussians")
     assert not any(tensor.requires_grad for tensor in vars(gaussians).values()), "return `gaussians.detach()`"
     asserts.finite(stylizer.render(gaussians, scene.cameras), "renders of the stylized Gaussians")
 
 
 def test_leaves_the_scene_alone(plugin: Subject[Method]) -> None:
-    """The scene and the stylizer's weights are left as they were, for the next style."""
+    """The scene, of pixels or of Gaussians, and the stylizer's weights are left as they were, for other styles."""
     stylizer, scene = _world()
-    before, weights = scene.map(torch.clone), {name: value.clone() for name, value in stylizer.state_dict().items()}
-    _run(plugin, stylizer, scene)
-    asserts.same(scene, before, "the scene")
+    weights = {name: value.clone() for name, value in stylizer.state_dict().items()}
+    for given in (scene, replace(scene, gaussians=stylizer.unstyled(scene))):
+        before = given.map(torch.clone)
+        _run(plugin, stylizer, given)
+        asserts.same(given, before, "the scene")
     asserts.same(stylizer.state_dict(), weights, "weights of the stylizer")
 
 
