@@ -58,8 +58,7 @@ def test_only_supported_pixels_are_lifted(photographs):
     stereo = stereo_of(depth, support)
     generator = torch.Generator().manual_seed(0)
     lifted = from_stereo(images, cameras, stereo, num_gaussians=2000, unsupported=0.0, generator=generator)
-    assert lifted.pixels[:, 1].max() < 20
-    assert abs(len(lifted.means) / 2000 - 1) < 0.15
+    assert lifted.pixels[:, 1].max() < 20 and abs(len(lifted.means) / 2000 - 1) < 0.15
     assert set(lifted.pixels[:, 0].tolist()) == set(range(7))
     with pytest.raises(ValueError, match="no depth is supported"):
         from_stereo(

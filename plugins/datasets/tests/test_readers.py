@@ -85,8 +85,7 @@ def test_wikiart_descriptions_folders_splits_and_texts_alone(gallery, caplog):
     read = [styles.read(style) for style in range(len(styles))]
     assert [style.text[0] for style in read] == ["x", "bold outlines; flat colour", "hazy blue", "golden light"]
     assert [style.image is None for style in read] == [False, False, True, True]
-    assert read[1].image.shape == (1, 3, 32, 32)
-    assert read[1].image.mean().item() * 255 == pytest.approx(50, abs=1)
+    assert read[1].image.shape == (1, 3, 32, 32) and read[1].image.mean().item() * 255 == pytest.approx(50, abs=1)
     assert [style.names[0] for style in read] == ["c", "a", "z", "w"]
     # As published, so many first descriptions are searched, present paintings among them.
     assert len(WikiArtStyles(root=str(gallery), text_only=1)) == 2

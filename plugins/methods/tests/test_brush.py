@@ -149,8 +149,7 @@ def test_the_next_style_of_a_scene_is_as_of_a_new_brush(wall, result):
     brush, stylizer = Brush(), anystyle.load("painter")
     for painting in (stripes(1.0), stripes(-0.4) * COLOR):
         again = brush(stylizer, wall, Style(image=painting), stylizer.embed(image=painting))
-    assert torch.equal(again.means, result.means)
-    assert torch.equal(again.harmonics, result.harmonics)
+    assert torch.equal(again.means, result.means) and torch.equal(again.harmonics, result.harmonics)
 
 
 def test_scenes_of_the_single_pass_are_painted_on_too(wall):

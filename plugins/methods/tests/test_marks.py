@@ -31,8 +31,7 @@ def test_marks_have_about_the_size_that_they_were_drawn_in(along, across):
     full = 4 * math.sqrt(math.log(2))
     one, other = (marks(dabs(along, across, angle), SIDE) for angle in (0.0, 0.7))
     for found in (one, other):
-        assert 0.6 < found.width / (full * across) < 1.0
-        assert 1.0 < found.length / (full * along) < 1.9
+        assert 0.6 < found.width / (full * across) < 1.0 and 1.0 < found.length / (full * along) < 1.9
     assert one.width == pytest.approx(other.width, rel=0.25)
 
 

@@ -280,8 +280,7 @@ def test_answers_that_say_little_give_a_report_all_the_same(tmp_path, people, it
     content = json.loads(json.dumps(as_json(found), allow_nan=False))
     for row in content["questions"]["style"]["tests"]:
         assert row["pvalue"] is not None or row["note"]
-    assert content["questions"]["style"]["mean"] == score
-    assert len(report_html(found)) > 10_000
+    assert content["questions"]["style"]["mean"] == score and len(report_html(found)) > 10_000
     for text in (markdown(found), latex(found), "".join(verdict(found, one) for one in found.questions)):
         assert "nan" not in text
     if people == 1:

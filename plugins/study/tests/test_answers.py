@@ -121,8 +121,7 @@ def test_findings_and_exclusions_are_listed(tmp_path):
     assert checks.attention_answers == 2
     assert records.comments == (("P03", "=SUM(A1)"),)
     present = {style.participant_names[index] for index in style.participants}
-    assert "STRAIGHT" in present
-    assert not present & {"LAZY", "P07"}
+    assert "STRAIGHT" in present and not present & {"LAZY", "P07"}
     assert checks.answers_used == style.count == 10 * 9 + 10 - 1
     first = next(row for row in rows if row[:2] == ("P03", "S01"))
     assert table_of(style)["P03", "S01"] == (first[3] - 3) * (1 if first[4] == "A" else -1)

@@ -27,8 +27,7 @@ def test_combinations_of_the_splits_are_disjoint():
     assert not heldout & (train | validation) and train & validation
     # One in HOLD combinations, each pattern with many palettes.
     share = np.mean([is_held_out(p, (a, b)) for p, a, b in product(range(len(PATTERNS)), range(9), range(9, 27))])
-    assert 0.13 < share < 0.21
-    assert len({pattern for pattern, _ in heldout}) == len(PATTERNS)
+    assert 0.13 < share < 0.21 and len({pattern for pattern, _ in heldout}) == len(PATTERNS)
 
 
 @settings(max_examples=60, deadline=None)
