@@ -30,13 +30,16 @@ def stored_number(value: float) -> Number:
     return value if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0 else "-inf"
 
 
+def mapped(value: Any, leaf: Callable[[Any], Any]) -> Any:
+    """Nested lists and tables with each value in them replaced by what ``leaf`` makes of it."""
+    if isinstance(value, Mapping):
+        return {key: mapped(part, leaf) for key, part in value.items()}
+    return [mapped(part, leaf) for part in value] if isinstance(value, (list, tuple)) else leaf(value)
+
+
 def plain(value: Any) -> Any:
     """A value of nested lists and tables as JSON can hold it."""
-    if isinstance(value, Mapping):
-        return {key: plain(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(part) for part in value]
-    return stored_number(value) if isinstance(value, float) else value
+    return mapped(value, lambda part: stored_number(part) if isinstance(part, float) else part)
 
 
 def as_number(score: Number) -> float:

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import msgspec
 
 from anystyle.errors import UserError, one_line
+from anystyle.io.documents import mapped
 from anystyle.registry.catalog import Plugin, PluginError, base_of
 
 if typing.TYPE_CHECKING:
@@ -159,13 +160,7 @@ def literal(text: str) -> str:
 
 def plain(value: Any) -> Any:
     """A Python value as a configuration holds it: sequences as lists, texts as :func:`literal`."""
-    if isinstance(value, str):
-        return literal(value)
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
-    return value
+    return mapped(value, lambda item: literal(item) if isinstance(item, str) else item)
 
 
 def fitted(value: Any, hint: Any) -> Any:
