@@ -51,6 +51,11 @@ def natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]
 
 
+def folders_in(folder: Path) -> list[Path]:
+    """The folders directly inside a folder, in natural order, without hidden ones."""
+    return sorted((path for path in folder.glob("[!.]*") if path.is_dir()), key=lambda path: natural(path.name))
+
+
 def distinct(names: Sequence[str], separator: str = "_") -> list[str]:
     """The same names, with a number behind those that occurred before, upper or lower case: ``1``, ``1_2``, ``1_3``."""
     taken: dict[str, str] = {}

@@ -11,7 +11,7 @@ from anystyle.data.folder import image_files
 from anystyle.errors import UserError, listing
 from anystyle.evaluation.names import Names, sequence, splits
 from anystyle.evaluation.pairing import Gap, MissingImages
-from anystyle.paths import natural
+from anystyle.paths import folders_in, natural
 
 SCENES = ("Train", "Truck", "M60", "Garden")
 """Three of Tanks and Temples, the last of Mip-NeRF 360."""
@@ -48,7 +48,7 @@ class PaperFolder:
     @cached_property
     def methods(self) -> dict[str, Path]:
         """The folders of methods, by name."""
-        return {path.name: path for path in _folders(self.root / "methods")}
+        return {path.name: path for path in folders_in(self.root / "methods")}
 
     def photographs(self, scene: str) -> list[Path]:
         """The photographs of a scene that are judged; none where it is absent."""
@@ -124,12 +124,8 @@ class PaperFolder:
             )
 
 
-def _folders(folder: Path) -> list[Path]:
-    return sorted((path for path in folder.glob("[!.]*") if path.is_dir()), key=lambda path: natural(path.name))
-
-
 def _scene_folder(folder: Path, scene: str) -> Path | None:
-    return next((path for path in _folders(folder) if path.name.casefold() == scene.casefold()), None)
+    return next((path for path in folders_in(folder) if path.name.casefold() == scene.casefold()), None)
 
 
 def _images(folder: Path) -> list[Path]:
@@ -138,7 +134,7 @@ def _images(folder: Path) -> list[Path]:
 
 def images_by_style(folder: Path, styles: Sequence[str]) -> dict[str, dict[str, Path]]:
     """Images of a scene by style and frame, in natural order: one folder per style, or ``STYLE_FRAME.png``."""
-    inside = {path.name: path for path in _folders(folder) if path.name != "images"}
+    inside = {path.name: path for path in folders_in(folder) if path.name != "images"}
     by_style: dict[str, dict[str, Path]] = {}
     for style in styles if inside else ():
         found = _meaning(style, inside)

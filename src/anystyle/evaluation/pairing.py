@@ -13,7 +13,7 @@ from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError, listing
 from anystyle.evaluation.layout import DEFAULTS, Meaning, ResultLayout
 from anystyle.evaluation.names import Names, sequence
-from anystyle.paths import natural
+from anystyle.paths import folders_in, natural
 
 CAMERAS = "cameras.npz"
 
@@ -239,7 +239,7 @@ def _geometry(depth: Path | None, scene: str, names: Iterable[str]) -> tuple[Fil
     """The depth maps of a scene's photographs by their names, and the file of its cameras, as far as there are any."""
     if depth is None:
         return {}, None
-    folders = {path.name: path for path in _folders(depth)}
+    folders = {path.name: path for path in folders_in(depth)}
     folder = next((folders[name] for name in Names(folders).find(scene)), depth)
     files = _files(folder, "depth", suffixes={".npy"})
     known = Names(files)
@@ -251,7 +251,7 @@ def _geometry(depth: Path | None, scene: str, names: Iterable[str]) -> tuple[Fil
 def _photographs(content: Path) -> dict[str, Files]:
     """Photographs by scene and name; the scene is empty for those in no folder."""
     photographs = {"": _files(content, "content")}
-    for folder in _folders(content):
+    for folder in folders_in(content):
         inside = folder / "images"
         photographs[folder.name] = _files(inside if inside.is_dir() else folder, "content")
     return {scene: files for scene, files in photographs.items() if files}
@@ -276,7 +276,3 @@ def _files(folder: Path, what: str, pattern: str = "*", suffixes: Collection[str
         if files.setdefault(name, path) != path:
             raise UserError(f"{files[name]} and {path} are the same image of the {what} folder; keep one of them")
     return files
-
-
-def _folders(folder: Path) -> list[Path]:
-    return sorted((path for path in folder.glob("[!.]*") if path.is_dir()), key=lambda path: natural(path.name))
