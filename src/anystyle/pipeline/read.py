@@ -38,10 +38,8 @@ def read(request: Request, model: LoadedModel, stages: Stages) -> "ReadViews | R
             from anystyle.pipeline.photographs import read_photographs
 
             return read_photographs(paths, backbone, options, poses, model.reconstruction, stages)
-        case InMemory(views):
-            return _in_memory(views, backbone, poses, model.reconstruction)
-        case None:
-            views = first_views(request.config, options)
+        case InMemory() | None:
+            views = first_views(request.config, options) if inputs is None else inputs.views
             return _in_memory(views, backbone, poses, model.reconstruction)
 
 
@@ -57,14 +55,11 @@ def first_views(config: DictConfig, options: ViewOptions) -> Views:
 def _in_memory(
     views: Views, backbone: Backbone, poses: PoseOptions, reconstruction: Reconstruction | None
 ) -> ReadViews:
+    from anystyle.pipeline.cameras import with_stored
+
     if any(side % backbone.patch_size for side in views.size):
         wrong = f"the scene's images are {views.size}"
         raise UserError(f"{wrong}; their sides must be multiples of {backbone.patch_size}")
     names = [f"view_{index:02d}" for index in range(views.images.shape[1])]
     sources = tuple(SourceImage.covering(name, views.size, views.size) for name in names)
-    given = ReadViews(views, sources, reconstruction or Feedforward())
-    if poses.use not in ("known", "target"):
-        return given
-    from anystyle.pipeline.cameras import with_stored
-
-    return with_stored(given, poses)
+    return with_stored(ReadViews(views, sources, reconstruction or Feedforward()), poses)
