@@ -36,5 +36,4 @@ def did_you_mean(word: str, words: Iterable[str]) -> str:
 def unknown(what: str, word: str, words: Iterable[str]) -> str:
     """Say that no ``what`` has this name, with the nearest one and all there are."""
     known = sorted(words)
-    available = ", ".join(known) if known else "none"
-    return f"no {what} is named '{word}'.{did_you_mean(word, known)} Available: {available}"
+    return f"no {what} is named '{word}'.{did_you_mean(word, known)} Available: {', '.join(known) or 'none'}"

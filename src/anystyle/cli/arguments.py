@@ -105,6 +105,5 @@ def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Nam
         raise UserError(f"{message}.{near} See: {parser.prog} --help")
 
     parser.error = fail
-    special = (argparse.PARSER, argparse.REMAINDER)
-    mixed = not any(action.nargs in special for action in parser._actions)
+    mixed = not any(action.nargs in (argparse.PARSER, argparse.REMAINDER) for action in parser._actions)
     return parser.parse_intermixed_args(list(words)) if mixed else parser.parse_args(words)

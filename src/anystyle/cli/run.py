@@ -81,14 +81,12 @@ def message(error: BaseException) -> str | None:
 
         if isinstance(error, ERRORS):
             return explain(error)
-    if isinstance(error, UserError):
-        return one_line(error)
     if isinstance(error, OSError) and (error.strerror or error.filename is not None):
         from anystyle.io.atomic import final
 
         at = error.filename and final(Path(str(error.filename)))  # whatever name it has while it is written
         return ": ".join(str(part) for part in (at, error.strerror) if part)
-    if isinstance(error, FileNotFoundError):
+    if isinstance(error, UserError | FileNotFoundError):
         return one_line(error)
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return f"out of memory: {one_line(error) or 'use fewer views or a smaller size'}"

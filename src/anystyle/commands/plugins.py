@@ -45,9 +45,8 @@ def overview(known: Catalog) -> Iterator[str]:
     """Every kind with the names of its plugins."""
     column = max(map(len, kinds())) + 3
     for kind in kinds():
-        names = ", ".join(known.names(kind)) or "-"
         title = f"{kind}*" if kind in MANY else kind
-        yield from _hanging(f"{title:<{column}}", names)
+        yield from _hanging(f"{title:<{column}}", ", ".join(known.names(kind)) or "-")
     yield ""
     yield "* several at once, as in loss=[content,style]. More: anystyle plugins KIND [NAME]"
 
