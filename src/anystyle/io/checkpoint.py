@@ -82,12 +82,11 @@ def read_header(path: str | Path) -> Header:
         # Configurations are resolved before they are written; an interpolation would be resolved on this machine.
         raise UserError(f"the header of {path} holds an interpolation; a file's configuration must be resolved")
     source = f"the header of {path}"
-    fields: dict[str, Any] = {}
-    for name, text in metadata.items():
-        if name == "part":
-            fields[name] = text
-        elif name in Header.__annotations__:
-            fields[name] = parse_json(text, Any, source=f"{name} in {source}")
+    fields = {
+        name: text if name == "part" else parse_json(text, Any, source=f"{name} in {source}")
+        for name, text in metadata.items()
+        if name in Header.__annotations__
+    }
     return fit(fields, Header, source=source, what="header of weights")
 
 

@@ -135,8 +135,7 @@ def load(path: Path, *, activated: bool = False) -> Loaded:
 
 def comments(path: Path) -> list[str]:
     """The comments of a header, in UTF-8 or else Latin-1."""
-    lines = re.findall(rb"^comment +(.*\S)", _header(path).replace(b"\r", b"\n"), re.MULTILINE)
-    return [_text(line) for line in lines]
+    return [_text(line) for line in re.findall(rb"^comment +(.*\S)", _header(path).replace(b"\r", b"\n"), re.MULTILINE)]
 
 
 def is_antialiased(comment: str) -> bool:

@@ -148,8 +148,7 @@ def near(means: NDArray[np.floating], remarks: Remarks) -> tuple[NDArray[np.floa
     """
     with np.errstate(all="ignore"):
         sound = means[np.isfinite(means).all(1)]
-        rounded = bool((sound.astype(np.float32) != sound).any())
-        offset = offset_of(sound, remarks) if rounded else NEAR
+        offset = offset_of(sound, remarks) if (sound.astype(np.float32) != sound).any() else NEAR
         return (means - offset if any(offset) else means).astype(np.float32), offset
 
 
