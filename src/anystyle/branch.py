@@ -56,17 +56,14 @@ class StyleBranch(StylePredictor):
         single_view: bool = False,
     ) -> None:
         super().__init__()
-        unknown = [name for name in styled if name not in ATTRIBUTES]
-        if unknown or len(set(styled)) != len(styled):
+        if not set(styled) <= set(ATTRIBUTES) or len(set(styled)) != len(styled):
             raise ValueError(f"styled attributes are {list(styled)}; choose each once from {', '.join(ATTRIBUTES)}")
         chosen = {site.name for site in sites}
         in_aggregator = any(site.name in chosen for site in backbone.aggregator.sites)
-        in_head = any(site.name in chosen for site in backbone.gaussian_head.sites)
+        has_head = in_aggregator or any(site.name in chosen for site in backbone.gaussian_head.sites)
         self.styled, self.sh_degree, self.single_view = tuple(styled), sh_degree, single_view
         self.aggregator = copy.deepcopy(backbone.aggregator).requires_grad_() if in_aggregator else None
-        self.gaussian_head = (
-            copy.deepcopy(backbone.gaussian_head).requires_grad_() if in_aggregator or in_head else None
-        )
+        self.gaussian_head = copy.deepcopy(backbone.gaussian_head).requires_grad_() if has_head else None
         self.injectors = nn.ModuleDict({site.name: make_injector(site) for site in sites})
         self.reads_tokens = any(isinstance(one, Injector) and one.reads_tokens for one in self.injectors.values())
 
