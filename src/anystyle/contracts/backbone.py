@@ -208,8 +208,7 @@ class Backbone(Pluggable, nn.Module, ABC):
         geometry = self.geometry_of(features, views)
         head = self.gaussian_head
         attributes = head(features, views.images) if colors else head.without_colors(features, views.images)
-        clusters = self.adapter.cluster(geometry, attributes)
-        return Scene(views, stem, features, geometry, attributes, clusters)
+        return Scene(views, stem, features, geometry, attributes, self.adapter.cluster(geometry, attributes))
 
     def make_branch(self) -> StylePredictor | None:
         """The style branch that it was published with, where style enters by other parts than injectors.

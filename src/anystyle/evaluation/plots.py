@@ -122,5 +122,4 @@ def save(figure: Any, path: Path) -> None:
 
 
 def _values(rows: Sequence[Row], name: str) -> list[float]:
-    values = [row.scores.get(name, math.nan) for row in rows]
-    return [value for value in values if math.isfinite(value)]
+    return [value for row in rows if math.isfinite(value := row.scores.get(name, math.nan))]

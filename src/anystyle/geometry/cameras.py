@@ -60,9 +60,8 @@ def look_at(
     forward = torch.nn.functional.normalize(target - eye, dim=-1)
     right = torch.nn.functional.normalize(torch.linalg.cross(forward, up.expand_as(forward), dim=-1), dim=-1)
     down = torch.linalg.cross(forward, right, dim=-1)
-    top = torch.stack([right, down, forward, eye], dim=-1)
     bottom = eye.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*eye.shape[:-1], 1, 4)
-    return torch.cat([top, bottom], dim=-2)
+    return torch.cat([torch.stack([right, down, forward, eye], dim=-1), bottom], dim=-2)
 
 
 def _sway(pose: np.ndarray, frames: int, radius: float = 0.06) -> np.ndarray:

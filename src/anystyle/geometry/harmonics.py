@@ -69,8 +69,7 @@ def colors(harmonics: Float[Tensor, "*batch K 3"], directions: Float[Tensor, "*b
     degree = degree_of(harmonics.shape[-2])
     if degree == 0:
         return rgb_from_constant(harmonics[..., 0, :]).clamp_min(0)
-    weights = basis(directions, degree)  # ... K
-    return ((weights[..., None] * harmonics).sum(-2) + 0.5).clamp_min(0)
+    return ((basis(directions, degree)[..., None] * harmonics).sum(-2) + 0.5).clamp_min(0)
 
 
 def constant_from_rgb(rgb: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:

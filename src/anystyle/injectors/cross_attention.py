@@ -51,10 +51,9 @@ class CrossAttention(TokenInjector):
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B *tokens D"]) -> Float[Tensor, "B V P C"]:
         coded = self.style_norm(self.coded(style))  # B K W
-        query = self.query(self.norm(data.flatten(1, 2)))  # B (V P) W
-        attended = functional.scaled_dot_product_attention(
-            self._split(query), self._split(self.key(coded)), self._split(self.value(coded))
-        )
+        parts = self.query(self.norm(data.flatten(1, 2))), self.key(coded), self.value(coded)  # B (V P) W, B K W twice
+        query, key, value = map(self._split, parts)
+        attended = functional.scaled_dot_product_attention(query, key, value)
         return data + self.zero_proj(attended.transpose(1, 2).flatten(-2)).reshape(data.shape)
 
     def coded(self, style: Float[Tensor, "B D"]) -> Float[Tensor, "B K W"]:

@@ -42,5 +42,4 @@ class LoRA(TokenInjector):
         self.up = zeroed(nn.Linear(rank, dim, bias=False))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        strength = self.factor * self.strength(style)[:, None, None]
-        return data + self.up(strength * self.down(data))
+        return data + self.up(self.factor * self.strength(style)[:, None, None] * self.down(data))

@@ -90,9 +90,8 @@ class ClipPatch(Loss):
             """What ``draw`` gives for a number of images, for each of ours."""
             if self.shared_crop:
                 return (one := draw(1)).expand(count, *one.shape[1:])
-            return drawn_for_rows(rows, lambda number: draw(number * count // rows).unflatten(0, (number, -1))).flatten(
-                0, 1
-            )
+            of_rows = drawn_for_rows(rows, lambda number: draw(number * count // rows).unflatten(0, (number, -1)))
+            return of_rows.flatten(0, 1)
 
         top = drawn(lambda number: torch.randint(height - side + 1, (number,), generator=generator)).tolist()
         left = drawn(lambda number: torch.randint(width - side + 1, (number,), generator=generator)).tolist()

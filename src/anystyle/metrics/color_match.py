@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics.base import Pairs, RowMean, mean_per_row, with_style_images
+from anystyle.metrics.base import RowMean, mean_per_row, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import preprocess
 from anystyle.vision.feature_cache import CACHE
@@ -39,11 +39,7 @@ class ColorMatch(RowMean):
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         comparison, style = with_style_images(comparison)
         target = self._histograms(style)
-
-        def distances(batch: Pairs) -> Tensor:
-            return hellinger(self._histograms(batch.preds), target[batch.rows])
-
-        return mean_per_row(comparison, distances)
+        return mean_per_row(comparison, lambda batch: hellinger(self._histograms(batch.preds), target[batch.rows]))
 
     def _histograms(self, images: Tensor) -> Tensor:
         def histograms(batch: Tensor) -> list[Tensor]:

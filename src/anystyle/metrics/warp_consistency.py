@@ -199,8 +199,7 @@ def corrected_warp(
     logits = _logits(source, target, displacement)
     # Pixels without a finite displacement are left out.
     displacement = torch.where(visible[:, None], displacement, torch.nan)
-    landed = softmax_splat(torch.ones_like(logits), displacement, torch.zeros_like(logits)).weight
-    seen = landed >= MIN_WEIGHT
+    seen = softmax_splat(torch.ones_like(logits), displacement, torch.zeros_like(logits)).weight >= MIN_WEIGHT
     # The constant of 1e-7 in the sum is negligible beside weights of at least exp(-10) / 2.
     image = softmax_splat(source, displacement, logits).image
     return Warped(image * seen, target * seen, seen)

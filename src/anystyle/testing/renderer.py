@@ -142,8 +142,7 @@ def test_a_linear_view_is_linear_and_shows_the_scene(plugin: Subject[Renderer]) 
     alike = replace(scene, harmonics=constant_from_rgb(colors)[None, :, None])
     image = view(colors.to(device)).cpu()
     asserts.close(image + view.background.cpu(), _render(plugin, alike, seen).color[0, 0], "its view of colours")
-    given = vars(view.render.to("cpu")).items()
-    for name, image_given in given:
+    for name, image_given in vars(view.render.to("cpu")).items():
         asserts.close(image_given, getattr(_render(plugin, scene, seen), name), f"its {name} of the scene")
     asserts.close(view(-2 * colors.to(device)).cpu(), -2 * image, "its view of -2 times these colours")
     products = (image * pixels).sum((1, 2)), (colors * view.transposed(pixels.to(device)).cpu()).sum(0)

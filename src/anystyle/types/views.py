@@ -36,8 +36,7 @@ class Cameras(Given):
         rotation, origin = self.world_from_camera[..., :3, :3], self.world_from_camera[..., :3, 3:]
         # Sums of products, for a matrix product would be rounded under autocast.
         back = -(rotation * origin).sum(-2)[..., None]
-        inverse = torch.cat([rotation.mT, back], dim=-1)
-        return torch.cat([inverse, self.world_from_camera[..., 3:, :]], dim=-2)
+        return torch.cat([torch.cat([rotation.mT, back], dim=-1), self.world_from_camera[..., 3:, :]], dim=-2)
 
     def resized(self, size: tuple[int, int]) -> "Cameras":
         """The same cameras for images stretched to ``size``."""

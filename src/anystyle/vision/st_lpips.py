@@ -26,16 +26,14 @@ class Blur(nn.Module):
     def forward(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M C _ _"]:
         if min(features.shape[-2:]) < 3:
             raise UserError("images are too small for ST-LPIPS, which needs 21 x 21 pixels; enlarge them")
-        padded = F.pad(features, (2, 2, 2, 2), mode="reflect")
-        return F.conv2d(padded, self.filt, stride=2, groups=len(self.filt))
+        return F.conv2d(F.pad(features, (2, 2, 2, 2), mode="reflect"), self.filt, stride=2, groups=len(self.filt))
 
 
 class ShiftTolerantVGG16(Chain):
     """VGG-16; layers are named as those of :class:`~anystyle.vision.vgg.VGG16` that LPIPS compares."""
 
     def __init__(self) -> None:
-        names = {"relu1_2": 3, "relu2_2": 9, "relu3_3": 17, "relu4_3": 25, "relu5_3": 33}
-        super().__init__(_vgg(), names)
+        super().__init__(_vgg(), {"relu1_2": 3, "relu2_2": 9, "relu3_3": 17, "relu4_3": 25, "relu5_3": 33})
 
 
 class ShiftTolerantAlexNet(Chain):

@@ -60,8 +60,7 @@ def rgb_uv_histogram(
     def planes(red: Tensor, green: Tensor, blue: Tensor, weight: Tensor) -> Tensor:
         rg, rb, gb = (kernel(chroma) for chroma in (red - green, red - blue, green - blue))
         gr, br, bg = (each.flip(-1) for each in (rg, rb, gb))  # the centres are symmetric
-        pairs = ((rg, rb), (gr, gb), (br, bg))
-        return torch.stack([(weight[..., None] * u).mT @ v for u, v in pairs], dim=1)
+        return torch.stack([(weight[..., None] * u).mT @ v for u, v in ((rg, rb), (gr, gb), (br, bg))], dim=1)
 
     parts = zip(logs.split(CHUNK, dim=-1), intensity.split(CHUNK, dim=-1), strict=True)
     histogram = torch.stack([planes(log[:, 0], log[:, 1], log[:, 2], weight) for log, weight in parts]).sum(0)
