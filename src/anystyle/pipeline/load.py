@@ -191,8 +191,7 @@ def assemble_frozen(config: DictConfig, device: torch.device = CPU) -> tuple[Sty
 
 def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
     """The configured method with its losses; nothing of it learns."""
-    named = runtime_arguments(catalog().owner("method", str(config.method._target_)))
-    if "losses" not in named:
+    if "losses" not in runtime_arguments(catalog().owner("method", str(config.method._target_))):
         return build(Method, config.method)
     from anystyle.contracts import Loss  # which brings torchmetrics
 

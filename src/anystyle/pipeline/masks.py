@@ -45,8 +45,7 @@ class Sphere(Mask):
 
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 inside."""
-        distance = (gaussians.means - gaussians.means.new_tensor(self.center)).norm(dim=-1) - self.radius
-        return inside(distance, self.soft)
+        return inside((gaussians.means - gaussians.means.new_tensor(self.center)).norm(dim=-1) - self.radius, self.soft)
 
 
 @dataclass(frozen=True)

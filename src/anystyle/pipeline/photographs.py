@@ -88,8 +88,7 @@ def _stored_beside(paths: Sequence[Path], poses: PoseOptions) -> dict[Path, Stor
         return {}
     used = len(found) >= max(2, len(files) / 2)
     told = "used; poses=sfm finds them anew" if used else "not used, for they are too few; poses=known uses them"
-    line = "cameras of %d of %d photographs are stored beside them, and are %s"
-    _log.warning(line, len(found), len(files), told)
+    _log.warning("cameras of %d of %d photographs are stored beside them, and are %s", len(found), len(files), told)
     return found if used else {}
 
 

@@ -217,8 +217,7 @@ def read_splat(path: Path, stylizer: Stylizer, views: ViewOptions, options: Spla
         made_of = (entry("scene", [path if path.is_file() else path / "report.json"]),)
         gaussians = tidied(whole := unstyled_of(saved), cameras, renderer, options)
     copied = path.is_file() and given.up == "opencv" and not options.activated and gaussians is whole
-    file = path if copied else None
-    return ReadSplat(gaussians, cameras, sources, origin, file, given.notes, made_of, saved.offset)
+    return ReadSplat(gaussians, cameras, sources, origin, path if copied else None, given.notes, made_of, saved.offset)
 
 
 def tidied(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, options: SplatOptions) -> Gaussians:

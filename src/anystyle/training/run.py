@@ -125,8 +125,7 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
         best = [
             Best(name, lambda step, value: written(out / BEST, steps=step, **{name: value}), config.checkpoint.mode)
         ]
-    growth = None if config.explosion is None else float(config.explosion)
-    guard = FiniteLoss(out / "refused_batch.pt", growth=growth)
+    guard = FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion))
     trainer = make_trainer(config, out, guard, [*best, *([average] if average else []), checkpoint])
     sources = make_sources(config)
     for kind in catalog().owner("training", str(config.training.get("_target_"))).load().needs:

@@ -64,8 +64,7 @@ class CachedScenes(SceneSource):
                     save_file(tensors, temporary)
             except (OSError, SafetensorError) as error:
                 logger.warning("%s cannot be written (%s); its scene is read anew each time", path, one_line(error))
-        index = list(views)
-        stored = {name: tensor[index].float()[None] for name, tensor in tensors.items()}
+        stored = {name: tensor[list(views)].float()[None] for name, tensor in tensors.items()}
         images = stored["images"] / 255.0
         size = (images.shape[-2], images.shape[-1])
         return Views(images, Cameras(stored["poses"], stored["intrinsics"], size), depth=stored["depth"])

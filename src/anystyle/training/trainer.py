@@ -91,8 +91,7 @@ def make_trainer(config: DictConfig, out: Path, guard: FiniteLoss, callbacks: li
     ``guard`` comes ahead of what scales gradients, so that it sees their own norm.
     """
     values: Any = OmegaConf.to_container(config.trainer, resolve=True)
-    is_terminal = sys.stderr.isatty()
-    options = {"num_sanity_val_steps": 0, "enable_model_summary": False, "enable_progress_bar": is_terminal}
+    options = {"num_sanity_val_steps": 0, "enable_model_summary": False, "enable_progress_bar": sys.stderr.isatty()}
     options |= {name: value for name, value in values.items() if value is not None}
     common: list[pl.Callback] = [
         StepSeed(config.seed),
