@@ -14,6 +14,7 @@ from torch import Tensor
 
 from anystyle.contracts import StyleEncoder
 from anystyle.types import TextMatch, Tokens
+from anystyle.vision.preprocess import middle_square
 from anystyle.vision.weights import find, published
 from anystyle_magenta.networks import SIDE, STYLE_DIM, StylePrediction, TextTower
 from anystyle_magenta.pretrained import GUESSES, SENTENCES, load_prediction, load_text_tower, words_installed
@@ -136,10 +137,7 @@ class MagentaEncoder(StyleEncoder):
 
 def centre_square(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 256 256"]:
     """The square in the middle, resized to the size that the network was trained with."""
-    height, width = images.shape[-2:]
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    square = images[..., top : top + side, left : left + side]
-    if side == SIDE:
+    square = middle_square(images)
+    if square.shape[-1] == SIDE:
         return square
     return F.interpolate(square, size=(SIDE, SIDE), mode="bicubic", antialias=True, align_corners=False).clamp(0, 1)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
+from anystyle.losses.features import mean_where
 from anystyle.types import Stylization
 from anystyle.vision.features import Frozen, freeze
 from anystyle_magenta.injector import stylize_images
@@ -61,9 +62,7 @@ class Teacher(Loss):
         distance = _difference(renders, target)
         for axis in (-1, -2):
             distance = distance + self.edges * _difference(renders.diff(dim=axis), target.diff(dim=axis))
-        if given is None:
-            return distance.mean()
-        return torch.where(given, distance, 0).sum() / given.sum().clamp_min(1)
+        return distance.mean() if given is None else mean_where(distance, given)
 
     @torch.no_grad()
     def stylized(
