@@ -10,6 +10,7 @@ from torch import Tensor
 
 from anystyle.contracts import StyleEncoder, neutral_embedding
 from anystyle.errors import UserError
+from anystyle.losses.features import resized
 from anystyle.metrics.base import RowMean
 from anystyle.types import Comparison
 from anystyle.vision.feature_cache import CACHE, identity
@@ -63,14 +64,11 @@ class ClipStyle(RowMean):
 
     def embed(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embeddings of images, each computed once."""
-        size = self.size
 
         def compute(batch: Tensor) -> list[Tensor]:
-            if size is not None and batch.shape[-2:] != (size, size):
-                batch = F.interpolate(batch, size=(size, size), mode="bicubic", align_corners=False)
-            return [self.encoder.embed_images(batch)]
+            return [self.encoder.embed_images(resized(batch, self.size, "bicubic"))]
 
-        return CACHE.features(images, ("style encoder", identity(self.encoder), size), compute)[0]
+        return CACHE.features(images, ("style encoder", identity(self.encoder), self.size), compute)[0]
 
     def _embed_styles(self, comparison: Comparison) -> tuple[Float[Tensor, "B D"], Bool[Tensor, " B"]]:
         """The embedding of each row's style, of its text if it has one, else of its image; and which rows have one."""

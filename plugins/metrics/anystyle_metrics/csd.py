@@ -71,11 +71,8 @@ class CSD(StyleSet):
         network, identity = self._network = self._network or self._load()
 
         def embed(batch: Tensor) -> list[Tensor]:
-            batch = preprocess.resized(batch, SIDE, mode="bicubic").clamp(0, 1)
-            top, left = ((side - SIDE) // 2 for side in batch.shape[-2:])
-            square = batch[..., top : top + SIDE, left : left + SIDE]
-            mean, std = (square.new_tensor(each)[:, None, None] for each in (MEAN, STD))
-            return [F.normalize(network((square - mean) / std), dim=-1)]
+            square = preprocess.middle_square(preprocess.resized(batch, SIDE, mode="bicubic").clamp(0, 1))
+            return [F.normalize(network(preprocess.normalised(square, MEAN, STD)), dim=-1)]
 
         return CACHE.features(images, ("csd", identity), embed)[0]
 

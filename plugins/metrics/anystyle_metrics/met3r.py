@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from anystyle.correspondences.rendered_depth import RenderedDepth
+from anystyle.geometry.warp import pixels
 from anystyle.metrics.base import NetworkMetric, RowMean
 from anystyle.types import Comparison, Frames
 from anystyle.vision.feature_cache import batch_size, digests
@@ -74,8 +75,7 @@ class Met3rDepth(NetworkMetric, RowMean):
 
     def _of_row(self, frames: Frames, first: Int[Tensor, " N"], second: Int[Tensor, " N"]) -> Float[Tensor, ""]:
         features = self._features(frames.images)
-        pairs = ((first, second), (second, first))
-        matches = zip(pairs, self._both_ways(frames, first, second), strict=True)
+        matches = zip(((first, second), (second, first)), self._both_ways(frames, first, second), strict=True)
         similarities = [similarity(features[one], features[other], match) for (one, other), match in matches]
         return 1 - torch.stack(similarities).double().mean(0).nanmean()
 
@@ -97,12 +97,9 @@ class Met3rDepth(NetworkMetric, RowMean):
 
     def _match(self, source: Frames, target: Frames) -> Matches:
         flow = self._correspondence(source, target)
-        height, width = flow.visible.shape[-2:]
-        rows, columns = (torch.arange(size, device=flow.visible.device) + 0.5 for size in (height, width))
-        y, x = torch.meshgrid(rows, columns, indexing="ij")
-        here = torch.stack([x, y]).expand_as(flow.displacement)
+        here = (pixels(flow.displacement) + 0.5).expand_as(flow.displacement)
         sampled = (slice(None), slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP))
-        size = here.new_tensor([width, height])
+        size = here.new_tensor(here.shape[:1:-1])
         here, there = (
             2 * places.permute(0, 2, 3, 1)[sampled] / size - 1 for places in (here, here + flow.displacement)
         )

@@ -78,7 +78,6 @@ class StyleRetrieval(Retrieval):
 
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Mean and deviation of every channel over the square in the middle (Huang and Belongie 2017, Eq. 13)."""
-        square = middle_square(images)
-        square = F.interpolate(square, size=(SIDE, SIDE), mode="bicubic", antialias=True).clamp(0, 1)
+        square = F.interpolate(middle_square(images), size=(SIDE, SIDE), mode="bicubic", antialias=True).clamp(0, 1)
         moments = [torch.std_mean(features, dim=(2, 3)) for features in self.network(square, LAYERS)]
         return torch.cat([statistic for pair in moments for statistic in pair], dim=-1)

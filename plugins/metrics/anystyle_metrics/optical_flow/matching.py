@@ -18,8 +18,7 @@ def match(source: Float[Tensor, "M 3 H W"], target: Float[Tensor, "M 3 H W"]) ->
     """The flow, (x, y) in pixels, between sRGB images in [0, 1], pair by pair."""
     height, width = source.shape[-2:]
     quarter = (max(8, height // 4), max(8, width // 4))
-    small = [F.interpolate(frames, size=quarter, mode="area") for frames in (source, target)]
-    flow = _search(*small)
+    flow = _search(*(F.interpolate(frames, size=quarter, mode="area") for frames in (source, target)))
     for size in (quarter, (max(8, height // 2), max(8, width // 2)), (height, width)):
         flow = _resize(flow, size)
         pair = [F.interpolate(frames, size=size, mode="area") for frames in (source, target)]
@@ -47,8 +46,7 @@ def _search(source: Tensor, target: Tensor) -> Float[Tensor, "M 2 h w"]:
 
 def _update(source: Tensor, target: Tensor, flow: Tensor) -> Float[Tensor, "M 2 h w"]:
     """One least-squares step in each window (Lucas and Kanade 1981), at most one pixel along each axis."""
-    inside = sample_at(torch.ones_like(target[:, :1]), flow)
-    error = (source - sample_at(target, flow)) * inside
+    error = (source - sample_at(target, flow)) * sample_at(torch.ones_like(target[:, :1]), flow)
     padded = F.pad(source, (1, 1, 1, 1), mode="replicate")
     dx = (padded[:, :, 1:-1, 2:] - padded[:, :, 1:-1, :-2]) / 2
     dy = (padded[:, :, 2:, 1:-1] - padded[:, :, :-2, 1:-1]) / 2

@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.geometry.warp import pixels
 from anystyle.vision import weights
 from anystyle.vision.features import Frozen, load_frozen
 
@@ -57,17 +58,14 @@ class RaftNetwork(Frozen):
         iterations: int = 32,
     ) -> Float[Tensor, "M 2 H W"]:
         """The flow, (x, y) in pixels, pair by pair, from the output of ``describe`` and the source's ``context``."""
-        height, width = source.shape[-2:]
-        pyramid = correlation_pyramid(source, target)
-        x, y = (torch.arange(side, dtype=source.dtype, device=source.device) for side in (width, height))
-        pixels = torch.stack(torch.meshgrid(x, y, indexing="xy")).expand(len(source), -1, -1, -1)
+        pyramid, places = correlation_pyramid(source, target), pixels(source).expand(len(source), -1, -1, -1)
         # The memory format of the correlations, without which each concatenation copies.
-        pixels, state, known = (part.contiguous(memory_format=torch.channels_last) for part in (pixels, *context))
+        places, state, known = (part.contiguous(memory_format=torch.channels_last) for part in (places, *context))
         update = self.update_block
         halves = update.gru.prepare(known)
-        flow = torch.zeros_like(pixels)
+        flow = torch.zeros_like(places)
         for _ in range(iterations):
-            state = update.gru(state, halves, update.encoder(look_up(pyramid, pixels + flow), flow))
+            state = update.gru(state, halves, update.encoder(look_up(pyramid, places + flow), flow))
             flow = flow + update.flow_head(state)
         # A quarter, as published, to balance gradients.
         return upsample(flow, 0.25 * update.mask(state))

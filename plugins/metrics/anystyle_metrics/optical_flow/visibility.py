@@ -1,10 +1,9 @@
 """Which pixels of a frame are visible in the other one, by the flows between the two."""
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from anystyle.geometry.warp import sample_at
+from anystyle.geometry.warp import pixels, sample_at
 
 RELATIVE, SLACK = 0.01, 0.5
 """Allowed squared error of a cycle: ``SLACK`` pixels² and ``RELATIVE`` times the squared displacements."""
@@ -13,8 +12,7 @@ RELATIVE, SLACK = 0.01, 0.5
 def inside(flow: Float[Tensor, "M 2 H W"]) -> Bool[Tensor, "M H W"]:
     """Where the flow stays in the frame."""
     height, width = flow.shape[-2:]
-    x = torch.arange(width, device=flow.device) + flow[:, 0]
-    y = torch.arange(height, device=flow.device)[:, None] + flow[:, 1]
+    x, y = (pixels(flow) + flow).unbind(1)
     return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
 
 
