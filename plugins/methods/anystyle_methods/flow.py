@@ -14,8 +14,7 @@ def blur(images: Float[Tensor, "V C H W"], sigma: float) -> Float[Tensor, "V C H
 
 def structure_tensor(images: Float[Tensor, "V 3 H W"], inner: float, outer: float) -> Float[Tensor, "V 3 H W"]:
     """``Ix², Ix Iy, Iy²`` of the luminance blurred by ``inner`` pixels, averaged over ``outer``; mean trace 1."""
-    gradient = spatial_gradient(blur(images.mean(1, keepdim=True), inner), mode="diff")[:, 0]  # V 2 H W
-    x, y = gradient.unbind(1)
+    x, y = spatial_gradient(blur(images.mean(1, keepdim=True), inner), mode="diff")[:, 0].unbind(1)  # V H W
     tensor = blur(torch.stack([x * x, x * y, y * y], dim=1), outer)
     return tensor / (tensor[:, 0] + tensor[:, 2]).mean().clamp_min(1e-12)
 

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import grid_sample, interpolate
 
+from anystyle.geometry.warp import pixels
 from anystyle_methods.flow import blur, flow, structure_tensor
 
 REACH = 32
@@ -64,8 +65,7 @@ class PaintingTexture:
         """Differences at random places with about these colours, and so many pixels beside them, across the flow."""
         count, _, height, width = self._around.shape
         size = torch.tensor([count, height, width])[:, None, None]
-        shape = 3, CANDIDATES, len(colors)
-        view, y, x = (torch.rand(shape, generator=generator) * size).long().to(colors.device)
+        view, y, x = (torch.rand(3, CANDIDATES, len(colors), generator=generator) * size).long().to(colors.device)
         nearest = (self._around[view, :, y, x] - colors).square().sum(2).argmin(0)
         view, y, x = (index.gather(0, nearest[None])[0] for index in (view, y, x))
         dx, dy = self._across[view, :, y, x].unbind(1)
@@ -84,10 +84,8 @@ def scale_to(pictures: Float[Tensor, "V 3 H W"], side: int) -> Float[Tensor, "V 
 
 def _half(values: Float[Tensor, "V 1 H W"], field: Float[Tensor, "V 2 H W"], weight: Float[Tensor, "V H W"]) -> float:
     """How many steps along a field of unit vectors, which have no sign, until values correlate by half."""
-    height, width = values.shape[-2:]
-    y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
-    place = torch.stack([x, y]).to(values).expand_as(field)
-    extent = torch.tensor([width, height]).to(values)[:, None, None]
+    place = (pixels(values) + 0.5).expand_as(field)
+    extent = values.new_tensor(values.shape[:1:-1])[:, None, None]
 
     def at(image: Tensor) -> Tensor:
         grid = (2 * place / extent - 1).movedim(1, -1)

@@ -80,8 +80,7 @@ class Optimize(Method):
     @property
     def sources(self) -> tuple[Source, ...]:
         """The networks of the losses, each once."""
-        known = [loss.source for loss in self.losses.values() if isinstance(loss, FeatureLoss)]
-        return tuple(dict.fromkeys(known))
+        return tuple(dict.fromkeys(loss.source for loss in self.losses.values() if isinstance(loss, FeatureLoss)))
 
     def __call__(
         self,

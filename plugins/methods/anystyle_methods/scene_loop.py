@@ -161,8 +161,7 @@ class SceneLoop:
     @torch.no_grad()
     def _keep_linear_view(self, view: int) -> None:
         """Keep a view's map of colours, as far as memory goes."""
-        camera = self.scene.cameras.select([view])
-        linear = self.stylizer.renderer.linear_view(self.before, camera)
+        linear = self.stylizer.renderer.linear_view(self.before, self.scene.cameras.select([view]))
         kept = sum(one.nbytes for one in self.linear_views.values())
         if linear is None or kept + linear.nbytes > KEPT:
             self.only_colors = False
