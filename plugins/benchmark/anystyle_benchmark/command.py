@@ -19,7 +19,6 @@ class Benchmark(Command):
     """Run, judge and show a benchmark of 3D stylization."""
 
     def __call__(self, words: Sequence[str]) -> None:
-        name = subcommand("benchmark", self.__doc__, SUBCOMMANDS, words)
-        if name is not None:
+        if (name := subcommand("benchmark", self.__doc__, SUBCOMMANDS, words)) is not None:
             catalog().find("command", "study").load()  # where that package is not installed, this makes it importable
             import_module(f"anystyle_benchmark.command_{name}").main(words[1:])

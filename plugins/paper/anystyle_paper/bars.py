@@ -31,8 +31,7 @@ def draw(lines: Sequence[Line], columns: Sequence[ColumnKey], better: Mapping[st
     figure, axes = plots.panels(
         len(shown), list(titles), width=2.3, height=0.75 + 0.24 * len(titles), margin=(1.6, 0.1)
     )
-    panels = [column for column in columns if column in shown]
-    for axis, column in zip(axes, panels, strict=True):
+    for axis, column in zip(axes, (column for column in columns if column in shown), strict=True):
         ends = [0.0, 1e-9]
         for level, title in enumerate(titles):
             if line := shown[column].get(title):

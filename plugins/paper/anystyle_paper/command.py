@@ -54,8 +54,7 @@ def _side_by_side(
 ) -> list[str]:
     """Print and write the table, plot and contact sheet of runs; return the names of the files."""
     with_published = arguments.with_published or bool(arguments.published)
-    scores = published_scores.load(arguments.published) if with_published else []
-    more, sources = run_table.published_lines(scores)
+    more, sources = run_table.published_lines(published_scores.load(arguments.published) if with_published else [])
     lines = lines + more
     names = run_table.scores_of(lines, [name for name in arguments.scores.split(",") if name])
     scenes = run_table.scenes_of(lines, names) if arguments.scenes or with_published else []
@@ -63,8 +62,7 @@ def _side_by_side(
     overall = any(line.samples and not any(scene for scene, _ in line.samples) for line in lines)
     columns = run_table.columns_of(lines, names, [*([run_table.ALL] if overall or not scenes else []), *scenes])
     lines = [line for line in lines if line.state or any(column in line.samples for column in columns)]
-    notes = run_table.state_notes(lines) + sources
-    table = run_table.table(lines, columns, better, notes=notes)
+    table = run_table.table(lines, columns, better, notes=run_table.state_notes(lines) + sources)
     written = table.write(out, "table")
     (out / "table.csv").write_text(run_table.data(lines, columns).csv(), encoding="utf-8", errors="backslashreplace")
     (out / "table.tex").write_text(latex.aligned(table), encoding="utf-8", errors="backslashreplace")

@@ -56,8 +56,7 @@ class Line:
         """A score as text, with the half-width of its interval where there are several seeds."""
         if column in self.printed:
             return self.printed[column]
-        values = self.values(column)
-        interval = f" ± {number(self.half_width(column))}" if len(values) > 1 else ""
+        interval = f" ± {number(self.half_width(column))}" if len(self.values(column)) > 1 else ""
         return number(self.value(*column)) + interval
 
     def half_width(self, column: ColumnKey) -> float:
@@ -226,8 +225,7 @@ def version_notes(lines: Sequence[Line]) -> list[str]:
             known = run.record().provenance
             words = [" ".join(pair) for pair in known.get("versions", {}).items()]
             if commit := known.get("commit"):
-                uncommitted = "+" if commit.endswith("+") else ""
-                words.append(f"commit {commit[:12]}{uncommitted}")
+                words.append(f"commit {commit[:12]}{'+' if commit.endswith('+') else ''}")
             made.setdefault(", ".join(words), []).append(line.title)
     made.pop("", None)  # what a training logged
     if len(made) < 2:

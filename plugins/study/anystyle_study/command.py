@@ -17,8 +17,7 @@ class StudyCommand(Command):
     """Design, run, analyse and plan user studies."""
 
     def __call__(self, words: Sequence[str]) -> None:
-        name = subcommand("study", self.__doc__, SUBCOMMANDS, words)
-        if name is not None:
+        if (name := subcommand("study", self.__doc__, SUBCOMMANDS, words)) is not None:
             from anystyle_study.commands import COMMANDS
 
             COMMANDS[name](words[1:])
