@@ -337,8 +337,7 @@ class Captures(Protocol):
                 shown["palette"] = color_map(photographs[0], image).of_images(photographs[0])[None]
             shown["stylized"] = stylizer.render(gaussians, cameras).color.detach()
             if stylizer.branch.gaussian_head is None:
-                alone = stylized_views(stylizer, replace(scene, views=views), embedding)
-                shown["view_by_view"] = alone[None]
+                shown["view_by_view"] = stylized_views(stylizer, replace(scene, views=views), embedding)[None]
             for kind, images in shown.items():
                 row = replace(base, stylized=images, style=style.to(device), styles=style.names)
                 rows.setdefault(kind, []).append(row)

@@ -85,8 +85,7 @@ def plane_sweep(
         ranges = _ranges(cameras, points)
     else:
         ranges = _with_what_is_near(_ranges(cameras, points), gray, cameras, valid)
-    neighbors = _neighbors(cameras, points)
-    return _sweep(gray, cameras, ranges, neighbors, NUM_PLANES, TOLERANCE, valid)
+    return _sweep(gray, cameras, ranges, _neighbors(cameras, points), NUM_PLANES, TOLERANCE, valid)
 
 
 def _centers(cameras: Cameras) -> Float[Tensor, "V 3"]:

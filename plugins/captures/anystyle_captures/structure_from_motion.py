@@ -174,8 +174,7 @@ def find_cameras(
         def judged(options: SearchOptions) -> tuple[SparseModel, Verdict]:
             return judge(*search(arranged, options, ordered=ordered, threads=threads, on_progress=on_progress))
 
-        best = best_search(arranged, searches, judged)
-        model, verdict = best.model, best.verdict
+        _, model, verdict = best_search(arranged, searches, judged)
         arrays = {name: torch.from_numpy(array) for name, array in vars(model).items()}
         return {"model": arrays, "verdict": {**vars(verdict), "measures": dict(verdict.measures)}}
 

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from anystyle.contracts import Verdict
+from anystyle.errors import listing
 from anystyle.geometry.transforms import similarity_of_cameras
 from anystyle.paths import natural
 from anystyle_captures.sfm.model import MIN_VIEWS, SparseModel, VerifiedPair, ViewGraph
@@ -139,9 +140,8 @@ def _left_out(graph: ViewGraph, model: SparseModel) -> list[str]:
     return reasons
 
 
-def _names(graph: ViewGraph, views: Sequence[int], most: int = 6) -> str:
-    names = sorted((graph.names[view] for view in views), key=natural)
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+def _names(graph: ViewGraph, views: Sequence[int]) -> str:
+    return listing(sorted((graph.names[view] for view in views), key=natural), 6)
 
 
 def supported_views(seen: Bool[Array, "P V"], least: int) -> list[int]:
