@@ -4,10 +4,9 @@ from typing import Annotated
 
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn import functional
 
 from anystyle.injectors.base import TokenInjector, zeroed
-from anystyle.nn.attention import Block
+from anystyle.nn.attention import Block, attended
 from anystyle.ranges import AtLeastOne, Range
 
 
@@ -52,9 +51,7 @@ class CrossAttention(TokenInjector):
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B *tokens D"]) -> Float[Tensor, "B V P C"]:
         coded = self.style_norm(self.coded(style))  # B K W
         parts = self.query(self.norm(data.flatten(1, 2))), self.key(coded), self.value(coded)  # B (V P) W, B K W twice
-        query, key, value = map(self._split, parts)
-        attended = functional.scaled_dot_product_attention(query, key, value)
-        return data + self.zero_proj(attended.transpose(1, 2).flatten(-2)).reshape(data.shape)
+        return data + self.zero_proj(attended(*map(self._split, parts))).reshape(data.shape)
 
     def coded(self, style: Float[Tensor, "B D"]) -> Float[Tensor, "B K W"]:
         """The style tokens that a vector becomes."""

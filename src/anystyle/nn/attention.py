@@ -10,6 +10,13 @@ from torch import Tensor, nn
 from anystyle.nn.tokens import Rotary, rotate
 
 
+def attended(
+    q: Float[Tensor, "M heads L E"], k: Float[Tensor, "M heads S E"], v: Float[Tensor, "M heads S E"]
+) -> Float[Tensor, "M L C"]:
+    """The values that queries and keys choose, of all heads; autocast may leave the two in another precision."""
+    return F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v).transpose(1, 2).flatten(2)
+
+
 class Attention(nn.Module):
     """Multi-head self-attention; with ``qk_norm`` queries and keys are normalised per head, ahead of the rotation.
 
@@ -32,9 +39,7 @@ class Attention(nn.Module):
             qk = torch.stack([self.q_norm(qk[:, :, 0]), self.k_norm(qk[:, :, 1])], dim=2)
         qk = qk.permute(0, 2, 3, 1, 4)  # M 2 heads L E
         q, k = (qk if angles is None else rotate(qk, angles)).unbind(1)
-        # Under autocast the norms leave queries and keys in another precision than values.
-        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
-        return self.proj(mixed.transpose(1, 2).flatten(2))
+        return self.proj(attended(q, k, v))
 
 
 class Mlp(nn.Module):

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from functools import partial
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.attention import Attention, Block, Mlp
+from anystyle.nn.attention import Attention, Block, Mlp, attended
 from anystyle.nn.tokens import Rotary, constant, grid_of, grid_positions, rotary, rotate
 from anystyle.types import Cameras, Features, Inject, Site, Tokens, untouched
 from anystyle_backbones.blocks import start_as_dino
@@ -144,8 +143,7 @@ class MemoryAttention(nn.Module):
         pairs = ((self.projq, x), (self.projk, memory), (self.projv, memory))
         q, k, v = (project(y).unflatten(-1, (self.heads, -1)).transpose(1, 2) for project, y in pairs)
         q, k = rotate(q, angles), rotate(k, memory_angles)
-        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
-        return self.proj(mixed.transpose(1, 2).flatten(2))
+        return self.proj(attended(q, k, v))
 
 
 class DecoderBlock(nn.Module):

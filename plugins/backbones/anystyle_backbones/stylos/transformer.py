@@ -6,12 +6,11 @@ from itertools import repeat
 from typing import Literal, NamedTuple
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from anystyle.nn.attention import Attention, LayerScale, Mlp
+from anystyle.nn.attention import Attention, LayerScale, Mlp, attended
 from anystyle.nn.tokens import Rotary, grid_positions, rotary, rotate
 from anystyle.types import Features, Inject, Tokens, untouched
 from anystyle_backbones.anysplat.networks import Aggregator
@@ -58,8 +57,7 @@ class StyleAttention(nn.Module):
         k, v = self.kv_proj(style).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each B heads S E
         q, k = rotate(q, angles.view), rotate(self.k_norm(k), angles.style)
         # Under autocast the norms leave queries and keys in another precision than values.
-        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
-        return self.proj(mixed.transpose(1, 2).flatten(2))
+        return self.proj(attended(q, k, v))
 
 
 class CrossBlock(nn.Module):
