@@ -91,9 +91,8 @@ def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:
                     found.append(Compared(*pair, guide, figure, means, mean, low, high, pvalue, None, gap.n))
         if len(found) == before:
             raise UserError(f"{' and '.join(pair)} have no score in the same cell; leave one of them out")
-    adjusted = holm([as_number(one.pvalue) for one in found])
     decided: list[Compared] = []
-    for one, pvalue in zip(found, adjusted, strict=True):
+    for one, pvalue in zip(found, holm([as_number(one.pvalue) for one in found]), strict=True):
         ahead = (as_number(one.difference) > 0) == (figures.metrics[one.figure].better == "higher")
         name = (one.first if ahead else one.second) if pvalue <= 1 - CONFIDENCE else ""
         decided.append(msgspec.structs.replace(one, holm=stored_number(pvalue), better=name))

@@ -81,8 +81,7 @@ def main(args: Sequence[str]) -> None:
             path.write_text(text, encoding="utf-8")
     for cell in figures.cells:
         if cell.message:
-            where = ", ".join(map(str, cell.cell))
-            print(f"{cell.status}: {where}: {cell.message}", file=sys.stderr)
+            print(f"{cell.status}: {', '.join(map(str, cell.cell))}: {cell.message}", file=sys.stderr)
     print(f"{table}\nin {results}: {FIGURES}, table.md, table.csv")
 
 

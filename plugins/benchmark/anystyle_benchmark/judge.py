@@ -145,8 +145,7 @@ class Judge:
         ]
         of_scenes = [SceneFigures(*unit, {n: wholes[unit][n] for n in wholes[unit] if n in together}) for unit in units]
         of_scenes = [one for one in of_scenes if one.figures]
-        names = list(self.infos)
-        table = [_row(spec.name, guide, names, cells, of_scenes) for spec in specs for guide in spec.guides]
+        table = [_row(spec.name, guide, list(self.infos), cells, of_scenes) for spec in specs for guide in spec.guides]
         methods = {spec.name: spec for spec in specs}
         shown = [row for row in table if row.cells]
         return Figures(lock, self.infos, methods, cells, of_scenes, shown, dict(sorted(origins.items())))
