@@ -237,8 +237,7 @@ def test_shell_completion():
 def test_a_command_runs_with_flags_and_overrides(command):
     text = "a=b, 'c' \"d\" ${e} [f]\nnext"
     status, out, err = command("photos/", "--text", text, "placement=full", "./x=1.jpg", "seed=3")
-    assert (status, err) == (0, "")
-    assert out == f"JOB Full 3 {[text]} ['photos/', './x=1.jpg']\n"
+    assert (status, err) == (0, "") and out == f"JOB Full 3 {[text]} ['photos/', './x=1.jpg']\n"
 
 
 @pytest.mark.parametrize(

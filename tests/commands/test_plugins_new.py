@@ -104,8 +104,7 @@ def test_a_name_that_would_hide_an_import_gets_another_class(tmp_path):
 def test_names_that_cannot_be_used(kind, name, told, tmp_path):
     with pytest.raises(UserError) as caught:
         plugins_new.main([kind, name, "--into", str(tmp_path)])
-    assert told in str(caught.value) and "\n" not in str(caught.value)
-    assert list(tmp_path.iterdir()) == []
+    assert told in str(caught.value) and "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_is_never_overwritten(tmp_path):

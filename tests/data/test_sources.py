@@ -51,8 +51,7 @@ def test_scenes_are_folders_in_natural_order_each_with_its_aspect(capture):
     assert [scenes.name(scene) for scene in range(len(scenes))] == ["b9", "b10"]
     assert [scenes.num_views(scene) for scene in range(2)] == [4, 3]
     upright = scenes.read(0, [2, 0])
-    assert upright.images.shape == (1, 2, 3, 24, 16)
-    assert upright.names == ("2", "0") and upright.cameras is None
+    assert upright.images.shape == (1, 2, 3, 24, 16) and upright.names == ("2", "0") and upright.cameras is None
     assert source(capture / "b9").name(0) == "b9"
 
 

@@ -63,5 +63,4 @@ def test_what_is_few_enough_or_alike_or_unseen_is_no_trouble(seen):
     behind = replace(whole, means=whole.means - 100.0)
     for scene in (same, behind):
         fewer = simplified(scene, cameras, renderer, 3)
-        assert fewer.means.shape[1] == 3
-        assert all(bool(tensor.isfinite().all()) for tensor in vars(fewer).values())
+        assert fewer.means.shape[1] == 3 and all(bool(tensor.isfinite().all()) for tensor in vars(fewer).values())

@@ -53,8 +53,7 @@ def test_encoding_grows_linearly_and_too_many_views_are_refused_before_anything_
 def test_without_values_there_is_no_estimate_and_the_log_says_why(look, caplog, monkeypatch):
     backbone = ToyBackbone()
     monkeypatch.setattr(backbone.aggregator, "forward", lambda stem: look(stem.data))
-    assert memory.encoding(backbone, (32, 32)) is None
-    assert "cannot run on tensors without values" in caplog.text
+    assert memory.encoding(backbone, (32, 32)) is None and "cannot run on tensors without values" in caplog.text
     encode.require_encoding(backbone, 10**6, (32, 32), torch.device("cpu"))
 
 

@@ -64,8 +64,7 @@ def test_a_damaged_file_of_cameras_is_named_and_not_used(capture, caplog):
     (capture / "sparse" / "0" / "images.txt").unlink()
     (capture / "transforms.json").write_text(json.dumps({"frames": 3}))
     encoded = stylize(capture, "blue ink", model="tiny", reconstruction="feedforward", views=SMALL).encoded
-    assert len(encoded.sources) == 6
-    assert "cameras beside the photographs are not used: " in caplog.text
+    assert len(encoded.sources) == 6 and "cameras beside the photographs are not used: " in caplog.text
 
 
 UNREAD = {

@@ -159,8 +159,7 @@ def test_decorator_for_notebooks(monkeypatch):
         def select(self, sites):
             return tuple(sites)
 
-    assert plugin("placement", "mine")(Mine) is Mine
-    assert catalog().find("placement", "mine").load() is Mine
+    assert plugin("placement", "mine")(Mine) is Mine and catalog().find("placement", "mine").load() is Mine
     again = type("Mine", (Mine,), {"__qualname__": Mine.__qualname__, "__module__": Mine.__module__})
     plugin("placement", "mine")(again)
     assert catalog().find("placement", "mine").load() is again

@@ -48,8 +48,7 @@ def test_a_card_without_gsplat_is_no_trap(undecided: None, monkeypatch, caplog, 
     for name, renderer in (("gsplat", GsplatRenderer), ("warp", warp.values[0])):
         lacks = classmethod(lambda cls, it=name: "is not installed: pip install it" if it in missing else None)
         monkeypatch.setattr(renderer, "lacks", lacks)
-    assert best_renderer("cuda") == expected
-    assert told in caplog.text and len(caplog.records) == bool(missing)
+    assert best_renderer("cuda") == expected and told in caplog.text and len(caplog.records) == bool(missing)
     assert all(f"{name} is not installed: pip install it" in caplog.text for name in missing)
 
 

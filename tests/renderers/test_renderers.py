@@ -213,8 +213,7 @@ def test_few_gaussians(renderer: Any, number: int, coefficients: int) -> None:
     scene = gaussians(2, number, math.isqrt(coefficients) - 1)
     scene, views, leaves = with_gradients(scene, cameras(2, 1, (5, 7)))
     renders = render(renderer, scene, views, background=(0.25, 0.5, 1.0))
-    assert renders.color.shape == (2, 1, 3, 5, 7)
-    assert renders.depth.shape == renders.alpha.shape == (2, 1, 5, 7)
+    assert renders.color.shape == (2, 1, 3, 5, 7) and renders.depth.shape == renders.alpha.shape == (2, 1, 5, 7)
     if number == 0:
         assert torch.equal(renders.color, torch.tensor([0.25, 0.5, 1.0])[:, None, None].expand(2, 1, 3, 5, 7))
         assert not renders.alpha.any() and not renders.depth.any()

@@ -103,7 +103,7 @@ NOT_RUN = {
     r"anystyle export SCENE": "a file of a format that the reader adds",
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
-    r"make (demo|setup|lint|notebooks|test|test-smoke|test-slow|benchmark-smoke|format lint)$": "sets up an environment from a network",
+    r"make (demo|setup|lint|notebooks|(benchmark-|test-)(smoke|slow)|test|format lint)$": "needs a network",
     r"anystyle (app|view( \S+)?$)": "serves until it is interrupted; tests of these plugins look at the pages",
     r"anystyle (evaluate -m model=anystyle_head,styl3r|stylize .*model=styl)": "needs published weights",
     r"python -m tests\.benchmarks\.": "minutes, and pictures that do not travel with the project",

@@ -54,8 +54,7 @@ def test_layers_are_what_the_chain_computes(network: type[networks.FeatureNetwor
 
 
 def test_a_frozen_network_never_learns_and_adds_nothing_to_a_state_dict(vgg: networks.FeatureNetwork) -> None:
-    assert not vgg.training
-    assert not any(parameter.requires_grad for parameter in vgg.parameters())
+    assert not vgg.training and not any(parameter.requires_grad for parameter in vgg.parameters())
     owner = nn.ModuleDict({"network": vgg, "own": nn.Linear(2, 2)})
     owner.train()
     assert not vgg.training
