@@ -59,7 +59,7 @@ class Film:
     """
 
     def __init__(self, options: VideoOptions) -> None:
-        self.options, seconds = options, None
+        self.options, seconds, self._told = options, None, set[str]()
         if options.path == "smooth":
             self.path = smooth
         elif options.path == "orbit":
@@ -118,17 +118,15 @@ class Film:
                 shares.append(float(known.mean()))
                 shown = torch.lerp(background, shown, known)
             yield shown.cpu()
-        if empty := sum(share < SEEN for share in seen_shares):
-            _log.warning(
-                "%d of %d views of the film show less than %.0f%% of the scene", empty, len(seen_shares), 100 * SEEN
-            )
-        if faded := sum(share < 0.5 for share in shares):
-            _log.warning(
-                "%d of %d views of the film are mostly faded: no photograph was taken from about there; "
-                "video.path=smooth stays among the photographs, video.fade=false fades nothing",
-                faded,
-                len(shares),
-            )
+        found = {
+            f"show less than {SEEN:.0%} of the scene": sum(share < SEEN for share in seen_shares),
+            "are mostly faded: no photograph was taken from about there; video.path=smooth stays among the "
+            "photographs, video.fade=false fades nothing": sum(share < 0.5 for share in shares),
+        }
+        for what, count in found.items():
+            if count and what not in self._told:  # the films of other styles show as much
+                self._told.add(what)
+                _log.warning("%d of %d views of the film %s", count, self.frames, what)
 
     def line(self, seen: Cameras) -> str:
         """What the film of a scene with these cameras will be."""
