@@ -14,7 +14,7 @@
 #   SciPy 1.17.1 wasserstein_distance, of red  0         0             0.05      0.05      0.05
 # and of OpenCV: 0 for a red picture and one that is red in 4 of 10 pixels, blue in the others, if the latter has as
 # many red ones. It moves as much as the smaller picture has, as it documents, and forgets the rest. The sliced ones
-# compare quantiles of sums that differ. No warning but by sinkhorn2, of numerical errors. So scores of palettes grow
+# compare quantiles of sums that differ. All but sinkhorn2 give no warning. So scores of palettes grow
 # with the size of pictures, and between a picture and its thumbnail they are large or nothing. Divide counts by their
 # sum.
 set -euo pipefail

@@ -11,7 +11,7 @@
 #   in the last one                        39.7       23.7   23.7   23.7             7        0.98
 #   in none: a copy, bit for bit           inf        0.0    0.0    0.0              0        1.00
 # Frames that are equal have an infinite PSNR and are dropped before the mean, as in a film whose background stands
-# still, or that begins with a title; where none is left the result is zero, the worst there is. Neither says a word.
+# still, or that begins with a title; where none is left the result is zero, the worst there is. It says nothing.
 # Take the mean of the MSE, 10 log10(255^2 / MSE), or the rows of each frame, in which infinity is kept.
 set -euo pipefail
 cd "$(mktemp -d)"

@@ -16,8 +16,8 @@
 #   the same with recompute_scale_factor=True, or with `size`: 0
 # The mean is written as a scatter without a reduction (that ONNX has no mean is known publicly), logaddexp as the
 # logarithm of a sum of exponentials, and the last ones with a ratio of sizes in the place of the factor, or the factor
-# in the place of the ratio. No warning; `verify=True` tells of differences in the log. Write the mean as two sums,
-# logaddexp as logsumexp of a stack, and give sizes.
+# in the place of the ratio. No UserWarning. A mean can be written as two sums, logaddexp as logsumexp of a stack; give
+# sizes.
 set -euo pipefail
 cd "$(mktemp -d)"
 trap "rm -rf '$PWD'" EXIT

@@ -54,8 +54,7 @@ def test_unstyled_attributes_are_the_same_tensors():
     base, styled = attributes(), attributes()
     mixed = base.with_(styled, ("color", "rotation"))
     assert mixed.color is styled.color and mixed.rotation is styled.rotation
-    assert mixed.opacity is base.opacity and mixed.scale is base.scale
-    assert base.with_degree(1).color.shape[-1] == 4
+    assert mixed.opacity is base.opacity and mixed.scale is base.scale and base.with_degree(1).color.shape[-1] == 4
 
 
 def test_the_ends_of_a_way_between_styles_are_the_styles():

@@ -408,6 +408,8 @@ MUTANTS = {
     ],
     "metric": [
         (changed(ToyMetric, "compute", lambda score: score.nan_to_num(0)), "too_little_is_not_an_error"),
+        (changed(ToyMetric, "compute", float), "scores_are_declared"),
+        (changed(ToyMetric, "compute", lambda score: torch.stack([score, score])), "scores_are_declared"),
         (
             given(ToyMetric, "update", lambda c: replace(c, stylized=c.stylized.clamp_(0.2, 0.8))),
             "inputs_are_left_alone",

@@ -67,7 +67,7 @@ def test_levels_that_cannot_be_told_are_refused_in_one_line(tmp_path):
         assert "\n" not in str(caught.value) and name in str(caught.value)
 
 
-def display_p3():
+def display_p3(**others):
     """A profile with Display P3's primaries and sRGB's curve, as phones write: sRGB's with other columns.
 
     It keeps sRGB's name, as profiles of linear colours have that name in theirs.
@@ -77,6 +77,7 @@ def display_p3():
         "rXYZ": (0.51512, 0.2412, -0.00105),
         "gXYZ": (0.29198, 0.69225, 0.04189),
         "bXYZ": (0.1571, 0.06657, 0.78407),
+        **others,
     }
     for index in range(int.from_bytes(data[128:132], "big")):
         entry = data[132 + 12 * index : 144 + 12 * index]
@@ -113,6 +114,20 @@ def test_linear_grey_becomes_srgb(tmp_path, mode):
     for name, profile, level in (("grey", linear, 188), ("rgb", display_p3(), 128)):
         half.save(tmp_path / f"{name}.png", icc_profile=profile)
         assert np.asarray(open_image(tmp_path / f"{name}.png")).tolist() == [[[level] * 3] * 8] * 8
+    if mode == "L":
+        half.putalpha(Image.new("L", (8, 8), 0))
+        half.putpixel((0, 0), (128, 255))
+        half.save(tmp_path / "alpha.png", icc_profile=linear)
+        shown = np.asarray(open_image(tmp_path / "alpha.png"))
+        assert shown[0, 0].tolist() == [188] * 3 and (shown[1:] == 255).all()
+
+
+def test_profiles_of_srgb_that_round_otherwise_change_nothing(tmp_path):
+    """As the usual one of cameras: its primaries are rounded to four digits."""
+    profile = display_p3(rXYZ=(0.4361, 0.2225, 0.0139), gXYZ=(0.3851, 0.7169, 0.0971), bXYZ=(0.1431, 0.0606, 0.7141))
+    levels = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    Image.fromarray(levels).save(tmp_path / "a.png", icc_profile=profile)
+    assert (np.asarray(open_image(tmp_path / "a.png")) == levels).all()
 
 
 def test_a_damaged_profile_is_left_out(tmp_path, caplog):

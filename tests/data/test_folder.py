@@ -9,7 +9,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from anystyle.data.folder import cover, read_originals, read_views, tell_of_cut
-from anystyle.data.images import SUFFIXES
+from anystyle.data.images import SUFFIXES, is_hdr
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
 from anystyle.types import SourceImage
@@ -362,12 +362,15 @@ def test_photographs_of_high_dynamic_range_are_told(tmp_path, caplog):
         Image.new("RGB", (32, 32)).save(tmp_path / f"{name}.png", pnginfo=chunk)
     read(tmp_path)
     assert "(PQ or HLG) come out pale, save them as SDR: hlg.png, pq.png" in caplog.messages[-1]
+    for more, bright in ((b"", True), (b"tmap", False)):  # the second is of a gain map
+        (tmp_path / "a.avif").write_bytes(b"ftypavif" + more + b"colrnclx" + bytes([0, 9, 0, 16, 0, 9, 128]))
+        assert is_hdr(tmp_path / "a.avif") is bright
 
 
 def test_panoramas_are_no_photographs(tmp_path, caplog):
     xmp = b'<rdf:Description xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" GPano:ProjectionType="%s"/>'
     part = b'equirectangular" GPano:FullPanoWidthPixels="128" GPano:CroppedAreaImageWidthPixels="64'
-    kinds = {"sphere": b"equirectangular", "phone": b"cylindrical", "plain": b"perspective", "part": part}
+    kinds = {"sphere": part.replace(b"64", b"128"), "phone": b"cylindrical", "plain": b"perspective", "part": part}
     for name, kind in kinds.items():
         Image.linear_gradient("L").resize((64, 32)).save(tmp_path / f"{name}.jpg", xmp=xmp % kind)
     views, _ = read_views([tmp_path], short_side=28, multiple=14, max_views=4)

@@ -79,8 +79,7 @@ def test_alpha_channels_of_all_kinds(tmp_path, mode):
 
 def test_an_opaque_alpha_channel_is_no_mask(tmp_path):
     photograph(tmp_path / "a.png", alpha=left_half(black=255))
-    assert open_alpha(tmp_path / "a.png") is None
-    assert read(tmp_path)[0].alpha is None and read(tmp_path)[1] == {}
+    assert open_alpha(tmp_path / "a.png") is None and read(tmp_path)[0].alpha is None and read(tmp_path)[1] == {}
 
 
 def test_alpha_lies_as_the_photograph_does(tmp_path):

@@ -27,8 +27,7 @@ def test_scenes_styles_and_frames(tmp_path):
     assert read.content.shape == read.stylized.shape == (1, 11, 3, 8, 12)
     torch.testing.assert_close(read.stylized[0, :, 0, 0, 0] * 255, 60.0 + torch.arange(11.0))
     torch.testing.assert_close(read.content[0, :, 0, 0, 0] * 255, 100.0 + torch.arange(11.0))
-    assert read.style.image.shape == (1, 3, 6, 6)
-    assert (read.scenes, read.styles) == (("two",), ("a",))
+    assert read.style.image.shape == (1, 3, 6, 6) and (read.scenes, read.styles) == (("two",), ("a",))
 
 
 def test_what_has_no_partner_is_listed(tmp_path):

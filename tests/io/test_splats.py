@@ -178,5 +178,4 @@ def test_writers_take_extremes_without_a_word(name, tmp_path):
     export_styles(scene, tmp_path / f"out.{name}", name)
     if name != "html":
         found = read_saved(tmp_path / f"out.{name}").styles[0][1]
-        assert found.means.shape == (1, 5, 3)
-        assert all(bool(tensor.isfinite().all()) for tensor in vars(found).values())
+        assert found.means.shape == (1, 5, 3) and all(bool(tensor.isfinite().all()) for tensor in vars(found).values())

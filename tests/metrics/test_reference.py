@@ -53,8 +53,7 @@ def test_lpips_in_every_range(backbone):
 @pytest.mark.slow
 def test_art_fid_end_to_end():
     metric = ArtFID(weights="published")
-    assert metric.stand_ins == {}
-    assert sorted(len(digest) for digest in metric.weights.values()) == [64, 64]
+    assert metric.stand_ins == {} and sorted(len(digest) for digest in metric.weights.values()) == [64, 64]
     with pytest.warns(UserWarning, match="one image alone has no covariance"):
         found, _ = judged(metric)
     assert_matches(torch.cat(metric.stylized), END_TO_END["activations"]["tar"], rtol=1e-3, atol=1e-3)

@@ -277,3 +277,10 @@ def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_varia
         found = metric.compute()
     # Grey changes by 0.3 a frame, wherever a pixel goes; what the motion brings into view cannot be compared.
     assert found["warp_rmse_short"] == pytest.approx(0.3, abs=1e-5) and 0.5 < found["warp_coverage_short"] < 1
+
+
+def test_what_is_no_score_is_told_of_its_metric():
+    two = type("Two", (PSNR,), {"compute": lambda self: torch.zeros(2)})()
+    two.update(torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8))
+    with pytest.raises(UserError, match=r"the metric Two gives tensor\(\[0., 0.\]\) as psnr; expected one number"):
+        two.scores()

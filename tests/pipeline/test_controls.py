@@ -183,8 +183,7 @@ def test_words_become_masks(tmp_path):
 def test_flags_become_every_combination():
     words = ["--strength", "0,0.5", "--preserve-color", "1", "photos", "--scale", "2", "--text", "x"]
     controls = list(request(words).controls)
-    assert controls == [Controls(0.0, 1.0, 2.0), Controls(0.5, 1.0, 2.0)]
-    assert request([]).controls == (Controls(),)
+    assert controls == [Controls(0.0, 1.0, 2.0), Controls(0.5, 1.0, 2.0)] and request([]).controls == (Controls(),)
     for words in (["--strength", "x"], ["--strength", "1.5"], ["--scale", "0"]):
         with pytest.raises(ValueError):
             request(words)

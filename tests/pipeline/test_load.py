@@ -25,8 +25,7 @@ UNTRAINED = ["weights.backbone=null", "weights.style_encoder=null", "weights.bra
 
 def test_load_is_ready_for_use():
     stylizer = anystyle.load("tiny", UNTRAINED)
-    assert isinstance(stylizer, anystyle.Stylizer)
-    assert not any(module.training for module in stylizer.modules())
+    assert isinstance(stylizer, anystyle.Stylizer) and not any(module.training for module in stylizer.modules())
     assert not any(parameter.requires_grad for parameter in stylizer.parameters())
     side = stylizer.backbone.patch_size * 4
     images = torch.rand(1, 2, 3, side, side, generator=torch.Generator().manual_seed(0))

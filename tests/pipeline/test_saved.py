@@ -115,8 +115,7 @@ def test_cameras_that_are_stored_see_what_they_saw(tmp_path):
     seen, sources, origin = saved.cameras_of(
         tmp_path / "scene.ply", alone(wall()), ViewOptions(short_side=40), SplatOptions(cameras=5), RENDERER, 8, 224
     )
-    assert origin == "stored" and [source.name for source in sources] == list("01234")
-    assert seen.size == (40, 48)
+    assert origin == "stored" and [source.name for source in sources] == list("01234") and seen.size == (40, 48)
     with torch.no_grad():
         renders = RENDERER(Gaussians.load(tmp_path / "scene.ply"), seen).color[0]
     assert (renders - images).abs().max() < 0.01

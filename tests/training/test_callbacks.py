@@ -200,8 +200,7 @@ def test_matrices_decay_and_vectors_do_not():
     module[1].bias.requires_grad_(False)
     matrices, vectors = decayed_groups([module, module], lr=1.0, weight_decay=0.1)
     assert matrices["weight_decay"] == 0.1 and matrices["params"] == [module[0].weight]
-    assert vectors["weight_decay"] == 0.0 and len(vectors["params"]) == 2
-    assert len(trainable([module, module])) == 3
+    assert vectors["weight_decay"] == 0.0 and len(vectors["params"]) == 2 and len(trainable([module, module])) == 3
 
 
 def test_the_handler_of_a_launcher_follows_the_checkpoint(tmp_path, monkeypatch):

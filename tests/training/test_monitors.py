@@ -78,8 +78,7 @@ def test_a_trial_exercises_everything_and_leaves_nothing(tmp_path, monkeypatch):
     config = configuration((*TRACKED, "fast_dev_run=true", "checkpoint.every_steps=1"), tmp_path)
     outcome = train(config, tmp_path)
     assert outcome.finished and outcome.steps == 2 and outcome.weights == ()
-    assert seen == 2 * [CSVLogger, TensorBoardLogger]
-    assert not list(tmp_path.iterdir())
+    assert seen == 2 * [CSVLogger, TensorBoardLogger] and not list(tmp_path.iterdir())
 
 
 def test_a_loss_that_explodes_stops_the_run(tmp_path):

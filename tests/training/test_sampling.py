@@ -120,8 +120,7 @@ def test_equal_keys_mean_equal_views_and_a_pool_has_so_many():
 def test_heights_are_multiples_of_the_patch_in_the_published_range():
     source = SceneBatches(Frames(), seed=0, heights=(224, 448), width=448, multiple=14)
     sizes = {source._size(step, (28, 42)) for step in range(300)}
-    assert {height for height, _ in sizes} == set(range(224, 449, 14))
-    assert {width for _, width in sizes} == {448}
+    assert {height for height, _ in sizes} == set(range(224, 449, 14)) and {width for _, width in sizes} == {448}
 
 
 def scene(height: int = 60, width: int = 80) -> Views:

@@ -172,8 +172,8 @@ def _check_attention(
             return answer.score != answer.expected
         again = np.sign(_undone(answer, scales))
         if answer.method:
-            ours, theirs = (of_sides.get((*answer.cell[:-1], side), math.nan) for side in ("ours", "theirs"))
-            return answer.check == "degraded" and not ours >= theirs
+            theirs = of_sides.get((*answer.cell[:-1], "theirs"), -math.inf)
+            return answer.check == "degraded" and not answer.score >= theirs
         if answer.check == "degraded":
             return not again < 0
         before = first.get((answer.participant, answer.of, answer.question))

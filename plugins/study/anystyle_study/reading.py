@@ -75,16 +75,16 @@ def read_responses(
 
 
 def _unanswered(answers: Sequence[Answer], study: Study) -> Iterator[Answer]:
-    """The questions of attention checks without a row that people were asked before their last answer."""
+    """The questions and sides of attention checks without a row that people were asked before their last answer."""
+    checks = {check.id: check for check in study.checks}
     # A table may have none of a check at all.
-    asked = {(answer.item, answer.question): answer for answer in answers if answer.check}
+    asked = dict.fromkeys((one.item, one.question, one.method) for one in answers if one.item in checks)
     for name in dict.fromkeys(answer.participant for answer in answers):
-        given = {(answer.item, answer.question) for answer in answers if answer.participant == name}
+        given = {(one.item, one.question, one.method) for one in answers if one.participant == name}
         order = person.order if (person := study.participant(name)) else []
-        last = max((order.index(item) for item, _ in given if item in order), default=0)
-        for (item, question), one in asked.items():
-            if item in order[:last] and (item, question) not in given:
-                yield Answer(name, item, question, math.nan, check=one.check, of=one.of)
+        last = max((order.index(item) for item, *_ in given if item in order), default=0)
+        for item, question, method in (key for key in asked if key[0] in order[:last] and key not in given):
+            yield Answer(name, item, question, math.nan, False, method, check=checks[item].kind, of=checks[item].of)
 
 
 def _files(path: Path) -> list[Path]:

@@ -192,12 +192,17 @@ def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
                 a, b = (4, 2) if intact_is_a == liked else (2, 4)
                 scores = (("style", "", 2 if intact_is_a else 4), ("content", "A", a), ("content", "B", b))
                 rows += [(one.id, name, *score) for score in scores]
+    rows.append((stopped.id, degraded.id, "content", "A", 2))  # in the middle of the check
     for absent in ({"style"}, {"A"}, {"B"}):  # of one person's check
         kept = [row for row in rows if row[:2] != (halved.id, degraded.id) or not absent & {*row[2:4]}]
         path = write_csv(tmp_path / "a.csv", kept, "participant,item,question,side,score")
         found, _ = check(read_responses([path], designed), scale=Scale(), rules=Rules())
         failed = [finding.participant for finding in found.findings if finding.kind == "failed_attention_check"]
         assert sorted(failed) == [skipped.id, rated.id, halved.id]
+    kept = [(*row[:3], row[4], "A", 4 if row[1] == degraded.id else "") for row in rows if row[2] == "style"]
+    write_csv(path, kept, "participant,item,question,score,ours_is,expected")  # which say what the design does, too
+    found = check(read_responses([path], designed), scale=Scale(), rules=Rules())[0]
+    assert skipped.id in {one.participant for one in found.findings if one.kind == "failed_attention_check"}
     write_csv(path, [row for row in rows if row[1] != degraded.id], "participant,item,question,side,score")
     assert not check(read_responses([path], designed), scale=Scale(), rules=Rules())[0].exclusions  # it has no checks
 

@@ -119,7 +119,9 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
 
     def _add_place_controls(self) -> None:
         gui = self.viser.gui
-        kept = self.session.wanted.controls.mask
+        kept = None
+        with contextlib.suppress(UserError):  # of a damaged file; the session says so
+            kept = self.session.wanted.controls.mask
         near = kept if isinstance(kept, Sphere) else None
         self._point = near and near.center
         far = min(2.0, max(0.05, round(near.radius / self.path.distance, 2))) if near else 0.3

@@ -192,11 +192,10 @@ def test_closing_loses_nothing_and_a_damaged_memory_is_no_obstacle(restyler, tmp
     settled(again, StyleRequest("green"))
     until(lambda: "this style is not kept for the next start" in again.status)
     again.close()
-    for damage in ("[", '{"recent": 3}', "null"):
+    for damage in ("[", '{"recent": 3}', "null", '{"request": {"style": "ink", "place": "sphere:bad"}}'):
         (tmp_path / "session.json").write_text(damage)
-        blank = Session(restyler, folder=tmp_path)
-        assert blank.recent == [] and blank.current == StyleRequest()
-        blank.close()
+        with Viewer(Session(restyler, folder=tmp_path), tmp_path, ("scene.ply", [])) as blank:
+            assert blank.session.recent == [] and blank.session.current == StyleRequest()
 
 
 @pytest.mark.parametrize(

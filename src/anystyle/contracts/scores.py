@@ -13,6 +13,7 @@ import torchmetrics
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.errors import UserError, one_line
 from anystyle.registry.catalog import Pluggable
 from anystyle.types import Comparison, Flow, Frames, Source, Stylization
 
@@ -128,7 +129,11 @@ class Metric(Pluggable, torchmetrics.Metric, ABC):
     def scores(self) -> dict[str, Tensor]:
         """What :meth:`compute` returns, by name, for a metric with one score as well."""
         found = value if isinstance(value := self.compute(), dict) else dict.fromkeys(self.better, value)
-        return {name: torch.as_tensor(score).reshape(()) for name, score in found.items()}
+        for name, score in found.items():
+            if not isinstance(score, Tensor | float) or torch.as_tensor(score).numel() != 1:
+                given = f"the metric {type(self).__qualname__} gives {one_line(repr(score))[:80]} as {name}"
+                raise UserError(f"{given}; expected one number")
+        return found
 
     def merge_state(self, incoming_state: dict[str, Any] | torchmetrics.Metric) -> None:
         """Take in what another metric of this class, or its ``metric_state``, has taken in."""

@@ -5,12 +5,13 @@ import logging
 import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import ExifTags, Image, ImageCms, ImageOps
+from PIL import ExifTags, Image, ImageChops, ImageCms, ImageOps
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
@@ -45,7 +46,7 @@ def photograph_size(path: Path, *, panoramas: bool = False) -> tuple[int, int]:
     kind, (width, height) = panorama_tag(path), image_size(path)
     if kind and not (panoramas and kind == "equirectangular" and width == 2 * height):
         told = f"{path} is a panorama ({kind}, {width}x{height}), which no perspective camera takes"
-        raise UserError(f"{told}; equirectangular ones twice as wide as high are cut into views by poses=sfm")
+        raise UserError(f"{told}; whole equirectangular ones, twice as wide as high, are cut into views by poses=sfm")
     return width, height
 
 
@@ -62,9 +63,13 @@ def panorama_tag(path: Path) -> str:
 
 
 def is_hdr(path: Path) -> bool:
-    """Whether a photograph is of high dynamic range (PQ or HLG), and its colours come out pale."""
+    """Whether a photograph is of high dynamic range (PQ or HLG), and its colours come out pale.
+
+    Not where that is a second picture, by a gain map (``tmap`` of ISO 21496-1).
+    """
     with path.open("rb") as file:
-        return _HDR.search(file.read(1 << 16)) is not None
+        start = file.read(1 << 16)
+    return _HDR.search(start) is not None and b"tmap" not in start
 
 
 def read_exif(path: Path) -> Image.Exif:
@@ -142,27 +147,43 @@ def _averaging(image: Image.Image) -> Image.Image:
 
 
 def _to_srgb(image: Image.Image) -> Image.Image:
-    """Colours of the profile in an image's file as sRGB."""
+    """Colours of the profile in an image's file as sRGB.
+
+    Programs that make a picture grey may leave the profile of its colours in it, which says nothing then.
+    """
     profile = image.info.get("icc_profile") or b""
-    if profile and image.mode == "P":
-        image = image.convert("RGBA" if _has_alpha(image) else "RGB")
-    if profile and image.mode.startswith("I"):
-        image = _to_rgb(image).convert("L")
-    # Programs that make a picture grey may leave the profile of its colours in it.
-    if not profile or image.mode not in ("RGB", "RGBA", "CMYK", "L" if profile[16:20] == b"GRAY" else ""):
+    mode = "L" if image.mode.startswith("I") else _WITHOUT_ALPHA.get(image.mode)
+    if not profile or mode is None or (mode == "L") != (profile[16:20] == b"GRAY"):
         return image
     try:
-        source, srgb = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")
-        # Most images have sRGB's own profile, whatever its name; to convert all their pixels takes as long as decoding.
-        colors = Image.merge("RGB", [Image.linear_gradient("L").rotate(turn) for turn in (0, 90, 180)])
-        same = image.mode in ("RGB", "RGBA") and ImageCms.profileToProfile(colors, source, srgb)
-        if same and same.tobytes() == colors.tobytes():
-            return image
-        converted = ImageCms.profileToProfile(image, source, srgb, outputMode="RGBA" if image.mode == "RGBA" else "RGB")
+        transform = _transform(profile, mode)
     except (ImageCms.PyCMSError, OSError) as error:
         logger.warning("a colour profile cannot be read, and its colours are taken for sRGB (%s)", one_line(error))
         return image
-    return image if converted is None else converted
+    if transform is None:
+        return image
+    colors = (_to_rgb(image) if image.mode.startswith("I") else image).convert(mode)
+    converted = ImageCms.applyTransform(colors, transform) or colors
+    if _has_alpha(image):
+        converted.putalpha(image.convert("RGBA").getchannel("A"))
+    return converted
+
+
+_WITHOUT_ALPHA = {"L": "L", "LA": "L", "P": "RGB", "PA": "RGB", "RGB": "RGB", "RGBA": "RGB", "CMYK": "CMYK"}
+"""What the colours of a mode are converted from."""
+
+
+@lru_cache(maxsize=64)
+def _transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
+    """From the colours of a profile to sRGB; ``None`` for sRGB's own, whatever its name: it moves levels by one."""
+    source, srgb = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")
+    transform = ImageCms.buildTransform(source, srgb, mode, "RGB")
+    if mode == "RGB":
+        colors = Image.merge("RGB", [Image.linear_gradient("L").rotate(turn) for turn in (0, 90, 180)])
+        change = ImageChops.difference(colors, ImageCms.applyTransform(colors, transform) or colors)
+        if np.asarray(change).max() <= 1:
+            return None
+    return transform
 
 
 def _to_rgb(image: Image.Image) -> Image.Image:

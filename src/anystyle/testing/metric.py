@@ -138,4 +138,5 @@ def _update(metric: Metric, rows: Sequence[Comparison]) -> None:
 def _computed(metric: Metric, rows: Sequence[Comparison]) -> dict[str, Tensor]:
     _update(metric, rows)
     with warnings.catch_warnings(action="ignore"):
-        return metric.scores()
+        value = metric.compute()
+    return value if isinstance(value, dict) else dict.fromkeys(metric.better, value)
