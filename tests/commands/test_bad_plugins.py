@@ -53,38 +53,22 @@ BAD = {
         TOY.format(result="replace(given, depth=given.depth * float('nan'))"),
         "numbers of the means of the unstyled scene are NaN or infinite",
     ),
-    "abstract": (
-        "from anystyle.contracts import Method\nclass Mine(Method): ...", "lacks __call__, which every method has",
-    ),
-    "empty_handed": (
-        "from anystyle.testing.toy.method import ToyMethod\n"
-        "class Mine(ToyMethod):\n    def __call__(self, *given, **options): ...",
-        "given the method Mine returned a NoneType; expected a Gaussians",
-    ),
-    "turned": (
-        "from anystyle.renderers.torch import TorchRenderer\nclass Mine(TorchRenderer):\n"
-        "    def __call__(self, *given): return super().__call__(*given).map(lambda tensor: tensor.mT)",
-        "given the renderer Mine: Renders.color is float32 of shape [1, 1, 3, 70, 56]; expected",
-    ),
 }  # fmt: skip
 """Code, and what is said of it."""
-KINDS = {"abstract": "method", "empty_handed": "method", "turned": "renderer"}
-"""Those that are no backbones."""
 
 
 RUN = """
 import json, os, sys
 from pathlib import Path
 from tests.support.program import program
-root, words, *pairs = sys.argv[1:]
+root, words, *names = sys.argv[1:]
 ended = {}
-for name, kind in (pair.split("=") for pair in pairs):
-    environment = {**os.environ, "ANYSTYLE_PLUGINS": str(Path(root, name))}
-    done = program([*words.split(), f"{kind}=mine"], Path(root), environment)
+for name in names:
+    done = program(words.split(), Path(root), {**os.environ, "ANYSTYLE_PLUGINS": str(Path(root, name))})
     ended[name] = done.status, done.err
 print(json.dumps(ended))
 """
-WORDS = "stylize photo.png --text dots ~model views.short_side=56 video.frames=2"
+WORDS = "stylize photo.png --text dots ~model backbone=mine views.short_side=56 video.frames=2"
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +81,8 @@ def ended(tmp_path_factory) -> dict[str, tuple[int, str]]:
         folder.mkdir(parents=True)
         (folder / f"bad_{name}.py").write_text(dedent(code))
         line = f'mine = "bad_{name}:Mine"'
-        kind = KINDS.get(name, "backbone")
-        (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.{kind}"]\n{line}\n')
-    pairs = (f"{name}={KINDS.get(name, 'backbone')}" for name in BAD)
-    command = [sys.executable, "-c", RUN, str(root), WORDS, *pairs]
+        (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.backbone"]\n{line}\n')
+    command = [sys.executable, "-c", RUN, str(root), WORDS, *BAD]
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
 
 
@@ -148,7 +130,7 @@ def test_an_error_is_blamed_on_the_plugin_at_work(call, told, monkeypatch):
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_plugin_ends_in_one_line_about_it(name, ended):
+def test_a_bad_backbone_ends_in_one_line_about_it(name, ended):
     status, errors = ended[name]
     assert status == 2, errors
     lines = (line for line in errors.splitlines() if not line.endswith("…"))

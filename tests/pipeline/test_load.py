@@ -12,13 +12,16 @@ from anystyle.io.checkpoint import read_header, save_part
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.load import assemble, assemble_frozen, branch_header, default_device, load_model
 from anystyle.pipeline.request import Request
+from anystyle.pipeline.results import Restyler
 from anystyle.registry.catalog import PluginError
 from anystyle.registry.compose import compose
+from anystyle.renderers.torch import TorchRenderer
 from anystyle.testing.toy.injector import ToyInjector
+from anystyle.testing.toy.method import ToyMethod
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.types import Site, Views
-from tests.contracts.mutants import NeedsCameras
+from tests.contracts.mutants import NeedsCameras, changed
 
 UNTRAINED = ["weights.backbone=null", "weights.style_encoder=null", "weights.branch=null"]
 
@@ -133,6 +136,17 @@ def test_a_backbone_that_needs_cameras_is_given_them():
         anystyle.stylize(replace(views, cameras=None), "deep blue", model=stylizer)
     with pytest.raises(UserError, match=r"\ANeedsCameras needs the cameras of its views, which have none; poses=known"):
         anystyle.stylize(views, "deep blue", model=stylizer, poses=anystyle.PoseOptions("predicted"))
+
+
+def test_what_a_method_or_a_renderer_gives_is_checked():
+    views, stylizer = ToyScenes(num_scenes=1, size=(16, 24)).read(0, [0, 1]), ToyStylizer().eval()
+    (done,) = results = anystyle.stylize(views, "deep blue", model=stylizer)
+    method = changed(ToyMethod, "__call__", lambda gaussians: None)()
+    with pytest.raises(UserError, match="given the method ChangedToyMethod returned a NoneType; expected a Gaussians"):
+        Restyler(results.run.restyler.encoded, method)(done.style)
+    stylizer.renderer = changed(TorchRenderer, "__call__", lambda renders: renders.map(lambda tensor: tensor.mT))()
+    with pytest.raises(UserError, match=r"given the renderer ChangedTorchRenderer: Renders\.color is .*, 3, 24, 16\]"):
+        stylizer.render(done.gaussians, done.cameras)
 
 
 def test_a_card_that_does_not_compute_is_said_and_the_cpu_taken(monkeypatch, caplog):

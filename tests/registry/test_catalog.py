@@ -10,6 +10,7 @@ import pytest
 import anystyle.registry.catalog as module
 from anystyle.contracts import Placement
 from anystyle.errors import Terminated
+from anystyle.registry.build import build
 from anystyle.registry.builtin import BUILTIN, KINDS, MANY
 from anystyle.registry.catalog import PluginError, base_of, catalog, plugin
 
@@ -63,6 +64,12 @@ def test_a_signal_while_a_plugin_is_imported_is_no_error_of_it(plugin_folder):
     plugin_folder("from anystyle.errors import Terminated\nraise Terminated(143)", broken="Broken")
     with pytest.raises(Terminated):
         catalog().find("placement", "broken").load()
+
+
+def test_a_plugin_that_lacks_a_method_is_told_as_it_is_built(plugin_folder):
+    plugin_folder("from anystyle.contracts import Placement\nclass Half(Placement): ...", half="Half")
+    with pytest.raises(PluginError, match=r"placement 'half' \(.*\) lacks select, which every placement has"):
+        build(Placement, "half")
 
 
 def test_module_of_another_place_is_refused(plugin_folder):
