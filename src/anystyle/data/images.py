@@ -27,7 +27,7 @@ SUFFIXES = frozenset(
 """File names that are taken for images in a folder."""
 
 _HDR = re.compile(rb"colrnclx..\0[\x10\x12]|cICP.[\x10\x12]", re.DOTALL)
-"""What AVIF, HEIF and PNG files whose transfer function is PQ or HLG begin with; the numbers are of ITU-T H.273."""
+"""The transfer functions PQ (16) and HLG (18) of ITU-T H.273, as AVIF, HEIF and PNG files state them."""
 
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
@@ -147,9 +147,9 @@ def _averaging(image: Image.Image) -> Image.Image:
 
 
 def _to_srgb(image: Image.Image) -> Image.Image:
-    """Colours of the profile in an image's file as sRGB.
+    """An image converted from its embedded ICC profile to sRGB.
 
-    Programs that make a picture grey may leave the profile of its colours in it, which says nothing then.
+    Where only one of image and profile is greyscale, the profile does not apply, and the image is returned unchanged.
     """
     profile = image.info.get("icc_profile") or b""
     mode = "L" if image.mode.startswith("I") else _WITHOUT_ALPHA.get(image.mode)
@@ -170,12 +170,12 @@ def _to_srgb(image: Image.Image) -> Image.Image:
 
 
 _WITHOUT_ALPHA = {"L": "L", "LA": "L", "P": "RGB", "PA": "RGB", "RGB": "RGB", "RGBA": "RGB", "CMYK": "CMYK"}
-"""What the colours of a mode are converted from."""
+"""The modes of images that are converted, and the mode without alpha in which ICC profiles apply to them."""
 
 
 @lru_cache(maxsize=64)
 def _transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
-    """From the colours of a profile to sRGB; ``None`` for sRGB's own, whatever its name: it moves levels by one."""
+    """The transform from a profile to sRGB; ``None`` if it changes no level by more than 1, as sRGB's own profiles."""
     source, srgb = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")
     transform = ImageCms.buildTransform(source, srgb, mode, "RGB")
     if mode == "RGB":

@@ -31,7 +31,7 @@ def stored_number(value: float) -> Number:
 
 
 def mapped(value: Any, leaf: Callable[[Any], Any]) -> Any:
-    """Nested lists and tables with each value in them replaced by what ``leaf`` makes of it."""
+    """Nested lists and mappings with ``leaf`` applied to every other value."""
     if isinstance(value, Mapping):
         return {key: mapped(part, leaf) for key, part in value.items()}
     return [mapped(part, leaf) for part in value] if isinstance(value, (list, tuple)) else leaf(value)

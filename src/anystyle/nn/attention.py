@@ -13,7 +13,7 @@ from anystyle.nn.tokens import Rotary, rotate
 def attended(
     q: Float[Tensor, "M heads L E"], k: Float[Tensor, "M heads S E"], v: Float[Tensor, "M heads S E"]
 ) -> Float[Tensor, "M L C"]:
-    """The values that queries and keys choose, of all heads; autocast may leave the two in another precision."""
+    """Scaled dot-product attention, heads concatenated; queries and keys are cast to the dtype of the values."""
     return F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v).transpose(1, 2).flatten(2)
 
 
