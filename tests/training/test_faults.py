@@ -4,6 +4,7 @@ import hashlib
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from anystyle.training.run import train
 from tests.support.training_cases import RECONSTRUCTION, configuration
@@ -26,10 +27,11 @@ def whole(tmp_path):
 
 
 def test_a_finished_run_that_is_repeated_or_refused_changes_nothing(whole):
-    before = state(whole)
-    begun = []
+    save_file({"weight": torch.zeros(1)}, whole / "another_program.safetensors")
+    before, begun = state(whole), []
     outcome = train(configuration(WORDS, whole), whole, begun.append)
     assert outcome.finished and outcome.steps == 4 and "train/loss" in outcome.metrics
+    assert [path.name for path in outcome.weights] == ["backbone.safetensors"]
     with pytest.raises(ValueError, match="another configuration"):
         train(configuration((*WORDS, "seed=77"), whole), whole, begun.append)
     assert state(whole) == before and not begun

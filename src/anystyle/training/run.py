@@ -18,7 +18,7 @@ from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncod
 from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.checkpoint import Header, load_part, read_header, save_part, sha256
+from anystyle.io.checkpoint import Header, has_header, load_part, read_header, save_part, sha256
 from anystyle.io.documents import Number, as_number, kept_json
 from anystyle.io.record import commit
 from anystyle.io.run_folder import RECORD
@@ -180,7 +180,7 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
 def _finished(config: DictConfig, out: Path) -> Outcome | None:
     """The outcome of a run that has ended and whose results are all there; ``None`` for any other."""
     stored: dict[str, Number] | None = kept_json(out / METRICS, dict[str, Number])
-    weights = tuple(sorted(out.glob("*.safetensors")))
+    weights = tuple(sorted(filter(has_header, out.glob("*.safetensors"))))
     if stored is None or not weights or config.resume == "changed":
         return None
     if (resumed := resumable(config, out / "last.ckpt")) is None:
