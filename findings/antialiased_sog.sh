@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
-# splat-transform 3.7.0 and gaussforge 0.6.0 (public packages of npm and PyPI, run with Node.js 22 of npm).
+# Antialiased Gaussians through SOG, by splat-transform 3.7.0 and gaussforge 0.6.0: what one marks, the other ignores.
 #
-# A scene that was trained with antialiasing (opacities compensated for a pixel's filter) loses its mark between them:
-# in SOG's meta.json gaussforge writes `"antialias": true`, as the format was described in 2025, and splat-transform
-# reads and writes `"model": "antialiased"` alone. Through SPZ, whose flag both have, the mark survives.
+# Public packages of npm and PyPI, run with Node.js 22 of npm. A scene that was trained with antialiasing (opacities
+# compensated for a pixel's filter) loses its mark between them: in SOG's meta.json gaussforge writes
+# `"antialias": true`, as the format was described in 2025, and splat-transform reads and writes
+# `"model": "antialiased"` alone. Through SPZ, whose flag both have, the mark survives.
 # Seen: PLY (`comment SplatRenderMode: mip`) to SPZ by splat-transform keeps it; SPZ to SOG by gaussforge has
 # `antialias`; back to PLY by splat-transform has no comment, no warning. A viewer then draws thin Gaussians up to
 # several times too opaque. A writer of SOG that wants to be understood writes both keys.

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# gsplat 1.5.3, `gsplat.export_splats` (read from its public wheel, run with PyTorch 2.13 on a processor).
+# gsplat 1.5.3's exporter: one infinite opacity empties the file, and two of its three formats sort the rows.
 #
+# `gsplat.export_splats`, read from its public wheel, run with PyTorch 2.13 on a processor.
 # 1. One infinite opacity empties the file. The exporter leaves out Gaussians with values that are not finite, row by
 #    row for all properties but opacity, of which one such value leaves out every Gaussian. An infinite logit is what an
 #    opaque Gaussian has whose alpha was stored as 255 of 255 and turned back into a logit without a clamp.

@@ -76,6 +76,12 @@ def test_every_page_can_be_reached():
     assert linked == {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
 
 
+def test_findings_are_listed_by_their_titles():
+    titles = {script: _text(script).splitlines()[1].removeprefix("# ") for script in (ROOT / "findings").glob("*.sh")}
+    listed = {f"- {title} [Run it](../findings/{script.name})" for script, title in titles.items()}
+    assert listed == set(re.findall("^- .*", _text(ROOT / "docs" / "findings.md"), re.MULTILINE))
+
+
 @pytest.mark.parametrize("page", [*PAGES, *NOTEBOOKS], ids=named)
 def test_names_exist(page):
     for name in set(re.findall(r"`(anystyle(?:\.\w+)+)(?:\(\))?`", _text(page))):

@@ -28,8 +28,7 @@ def long_clip() -> LongClip:
         encoder = LongClip()
     positions = torch.empty(encoder.network.positional_embedding.shape)
     state = fill_sorted(encoder.network.state_dict() | {STRETCHED: positions, "logit_scale": torch.empty(())})
-    assert len(state) == RECORD["n_keys"]
-    assert sum(map(Tensor.numel, state.values())) == RECORD["n_params"]
+    assert len(state) == RECORD["n_keys"] and sum(map(Tensor.numel, state.values())) == RECORD["n_params"]
     encoder.load_published(state)
     return encoder.eval().requires_grad_(False)
 
