@@ -107,8 +107,7 @@ def test_untrusted_files_are_data():
 
 
 def test_annotations_are_evaluated():
-    found = [place(path, node) for path, node in nodes(ast.ImportFrom) if node.module == "__future__"]
-    assert found == []
+    assert [place(path, node) for path, node in nodes(ast.ImportFrom) if node.module == "__future__"] == []
 
 
 def test_no_duck_is_probed():

@@ -33,8 +33,7 @@ def test_the_view_at_the_origin_paints_what_it_sees_and_others_the_rest():
 def test_a_view_does_not_paint_through_what_stands_before_a_point():
     color, points, cameras = plane()
     points[:, 1] *= 0.5  # What the middle view shows is nearer: it does not see the plane.
-    painted = single_view_colors(color, points, cameras)
-    torch.testing.assert_close(painted[:, 0], color[:, 0], rtol=0, atol=1e-5)
+    torch.testing.assert_close(single_view_colors(color, points, cameras)[:, 0], color[:, 0], rtol=0, atol=1e-5)
 
 
 def test_the_order_of_views_does_not_matter_and_gradients_go_to_the_views_that_paint():

@@ -93,8 +93,7 @@ def test_one_term_is_left_out_by_its_name_alone():
 @pytest.mark.slow
 def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(capfd):
     multirun(TABLE, *SITES, TEXTS)
-    shown = capfd.readouterr()
-    assert shown.out.count("2 steps done; branch.safetensors in ") == len(ROWS)
+    assert capfd.readouterr().out.count("2 steps done; branch.safetensors in ") == len(ROWS)
     branches = [load_file(weights_of(job)) for job in range(len(ROWS))]
     base, geometry, no_clip, no_style, no_text = branches
     assert all(base.keys() == other.keys() for other in branches)

@@ -83,8 +83,7 @@ def test_missing_images_are_refused_or_said_in_every_table(tmp_path, capsys):
     assert told in shown.out
     assert all(f"\n| {name} missing) |" in shown.out for name in ("all (7", "one (4", "two (3"))
     assert "n = 11 of 18" in shown.out
-    known = metrics("out")["provenance"]
-    assert known["missing"][0] == {"scene": "one", "style": "a", "n": 2, "missing": 1}
+    assert metrics("out")["provenance"]["missing"][0] == {"scene": "one", "style": "a", "n": 2, "missing": 1}
     rows = list(csv.DictReader(Path("out/metrics.csv").read_text().splitlines()))
     assert [f"{row['n']} and {row['missing']}" for row in rows[:3]] == ["2 and 1", "3 and 0", "0 and 3"]
     assert rows[2]["change"] == ""
@@ -162,8 +161,7 @@ def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
         folder = tmp_path / "sweep" / str(number)
         folder.mkdir(parents=True)
         shutil.copy(weights_file("tiny_branch"), folder / "branch.safetensors")
-        bound = {"weights.backbone": "tiny_backbone", "seed": 0}
-        (folder / "bound.json").write_text(json.dumps(bound))
+        (folder / "bound.json").write_text(json.dumps({"weights.backbone": "tiny_backbone", "seed": 0}))
     words = ["protocol.num_styles=1", "protocol.num_scenes=1", "protocol.frames=1", *TOY]
     words += ["scenes=procedural", "scenes.size=112", "scenes.views=2", "styles=procedural", "styles.size=48"]
     run("--run", tmp_path / "sweep", *words)

@@ -133,8 +133,7 @@ def test_a_video_gives_evenly_spaced_frames(tmp_path):
     assert views.images.shape == (1, 5, 3, 32, 40)
     numbers = [int(source.name.rpartition("_")[2]) for source in sources]
     assert [number // 6 for number in numbers] == [0, 1, 2, 3, 4]
-    shades = views.images.mean((0, 2, 3, 4))
-    torch.testing.assert_close(shades, torch.tensor(numbers) / 29, rtol=0, atol=0.03)
+    torch.testing.assert_close(views.images.mean((0, 2, 3, 4)), torch.tensor(numbers) / 29, rtol=0, atol=0.03)
 
 
 def test_the_sharpest_frame_of_each_part_is_taken(tmp_path):

@@ -53,8 +53,7 @@ def test_hidden_colors_never_show_in_a_photograph_that_is_reduced(tmp_path, fact
     Image.fromarray(pixels).save(tmp_path / "a.png")
     picture = np.asarray(open_image(tmp_path / "a.png", longest=96 // factor))
     assert (picture[..., 0] >= 253).all() and (picture[..., 1] == picture[..., 2]).all()
-    alpha = np.asarray(open_alpha(tmp_path / "a.png", longest=96 // factor))
-    assert alpha.shape == picture.shape[:2]
+    assert np.asarray(open_alpha(tmp_path / "a.png", longest=96 // factor)).shape == picture.shape[:2]
     views, _ = read(tmp_path / "a.png")
     assert views.images[0, 0, 0].min() > 0.98
     # Premultiplied, as the fit takes its colours: red times alpha.

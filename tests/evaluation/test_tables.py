@@ -48,8 +48,7 @@ def test_every_form_names_the_stand_ins(tmp_path):
         "art_fid ↓ †",
         "change ↓",
     } < scores and f"† {STAND_IN} with published scores: art_fid by texture." in "\n".join(lines)
-    plain = Evaluation(scores={"change": 0.25}, n=1)
-    record.write(plain, tmp_path, KNOWN)
+    record.write(Evaluation(scores={"change": 0.25}, n=1), tmp_path, KNOWN)
     assert all(STAND_IN not in (tmp_path / name).read_text() for name in ("metrics.csv", "table.md", "table.tex"))
 
 

@@ -71,8 +71,7 @@ def test_what_no_photograph_shows_is_not_known():
     assert (shown[:, :12] > 0.95).all() and (shown[:, -12:] < 0.05).all()
     behind = look_at(seen.world_from_camera[0, :, :3, 3], torch.tensor([[0.0, 0.0, -1.0]]))
     assert (confidence(Cameras(behind[None], seen.intrinsics, SIZE)) == 0).all()
-    nothing = ViewConfidence.of(sphere.map(lambda tensor: tensor[:, :0]), seen)
-    assert (nothing(seen) == 1).all()
+    assert (ViewConfidence.of(sphere.map(lambda tensor: tensor[:, :0]), seen)(seen) == 1).all()
 
 
 def test_what_is_hidden_counts_for_nothing():

@@ -78,8 +78,7 @@ def test_other_files_are_refused(tmp_path):
 
 
 def test_names_as_cloudcompare_writes_them_are_read_and_leave_with_new_colors(tmp_path):
-    gaussians = random_gaussians(count=5, coefficients=4)
-    gaussians.save(tmp_path / "scene.ply")
+    random_gaussians(count=5, coefficients=4).save(tmp_path / "scene.ply")
     rows = PlyData.read(tmp_path / "scene.ply")["vertex"].data
     rows.dtype.names = tuple(name if name[-1] in "xyz" else f"scalar_{name}" for name in rows.dtype.names)
     PlyData([PlyElement.describe(rows, "vertex")]).write(tmp_path / "part.ply")

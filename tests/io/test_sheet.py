@@ -39,8 +39,7 @@ def test_words_are_wrapped_and_endless_ones_end_in_an_ellipsis():
 
 
 def test_thumbnails_are_the_first_the_last_and_two_between():
-    views = [Image.new("RGB", (400, 300), (index, 0, 0)) for index in range(7)]
-    small = thumbnails(views)
+    small = thumbnails([Image.new("RGB", (400, 300), (index, 0, 0)) for index in range(7)])
     assert [image.getpixel((9, 9))[0] for image in small] == [0, 2, 4, 6]
     assert {image.size for image in small} == {(224, 168)}
     assert style_sheet(small, [("one", None, small)]).width == 10 + 2 * 234

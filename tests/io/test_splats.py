@@ -174,8 +174,7 @@ def test_writers_take_extremes_without_a_word(name, tmp_path):
         values[axis][2] = 44
     for axis in POSITION:
         values[axis][:] = 1
-    scene = read_saved(write_ply(tmp_path / "scene.ply", values))
-    export_styles(scene, tmp_path / f"out.{name}", name)
+    export_styles(read_saved(write_ply(tmp_path / "scene.ply", values)), tmp_path / f"out.{name}", name)
     if name != "html":
         found = read_saved(tmp_path / f"out.{name}").styles[0][1]
         assert found.means.shape == (1, 5, 3) and all(bool(tensor.isfinite().all()) for tensor in vars(found).values())

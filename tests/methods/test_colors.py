@@ -123,8 +123,7 @@ def test_what_is_hardly_seen_stays_in_the_range_of_its_neighbors(monkeypatch):
 def test_what_is_shown_nowhere_keeps_its_colors():
     scene, views = small_scene()
     scene = replace(scene, opacities=torch.zeros_like(scene.opacities))
-    result = fit_colors(scene, views, torch.rand(4, 3, 24, 32), RENDERER)
-    assert torch.equal(result.harmonics, scene.harmonics)
+    assert torch.equal(fit_colors(scene, views, torch.rand(4, 3, 24, 32), RENDERER).harmonics, scene.harmonics)
 
 
 def test_refuses_what_does_not_belong_together():

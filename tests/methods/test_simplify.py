@@ -60,7 +60,6 @@ def test_what_is_few_enough_or_alike_or_unseen_is_no_trouble(seen):
     whole, cameras, _, renderer = seen
     assert simplified(whole, cameras, renderer, whole.means.shape[1]) is whole
     same = whole.map(lambda tensor: tensor[:, :1].expand(-1, 50, *tensor.shape[2:]).contiguous())
-    behind = replace(whole, means=whole.means - 100.0)
-    for scene in (same, behind):
+    for scene in (same, replace(whole, means=whole.means - 100.0)):
         fewer = simplified(scene, cameras, renderer, 3)
         assert fewer.means.shape[1] == 3 and all(bool(tensor.isfinite().all()) for tensor in vars(fewer).values())

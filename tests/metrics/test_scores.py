@@ -32,8 +32,7 @@ from anystyle_metrics.optical_flow.raft import Raft
 
 def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:
     content = smooth_image(11, [frames, 3, side, side])
-    noise = smooth_image(13, [styles, frames, 3, side, side])
-    stylized = 0.6 * content + 0.4 * noise
+    stylized = 0.6 * content + 0.4 * smooth_image(13, [styles, frames, 3, side, side])
     image = smooth_image(15, [styles, 3, 77, 77])
     return Comparison(content.expand(styles, -1, -1, -1, -1), stylized, Style(image))
 

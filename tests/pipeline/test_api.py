@@ -142,8 +142,7 @@ def test_styles_are_texts_files_tensors_and_points_between(photographs, stylizer
 
 def test_views_that_were_read_already_keep_their_known_cameras(stylizer):
     node = {"_target_": anystyle.catalog().find("scenes", "procedural").path, "size": 56}
-    source = anystyle.build(SceneSource, node)
-    views = source.read(0, range(3))
+    views = anystyle.build(SceneSource, node).read(0, range(3))
     predicted = anystyle.stylize(views, "dots", model=stylizer)
     targets = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("target")).encoded
     known = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("known")).encoded

@@ -40,8 +40,7 @@ def gaussians_of(count=40, coefficients=4, seed=0):
 
 def test_the_ends_of_strength_have_the_bits_of_each_scene():
     first, second = gaussians_of(), gaussians_of(seed=1)
-    weights = (torch.arange(40) % 2)[None].float()
-    mixed = blended(first, second, weights)
+    mixed = blended(first, second, (torch.arange(40) % 2)[None].float())
     for item in fields(Gaussians):
         one, two, both = (getattr(value, item.name) for value in (first, second, mixed))
         assert torch.equal(both[:, ::2], one[:, ::2]) and torch.equal(both[:, 1::2], two[:, 1::2]), item.name
@@ -112,8 +111,7 @@ def test_signed_distances_of_a_sphere_and_a_box():
 
 
 def test_a_soft_edge_runs_smoothly_from_one_to_zero():
-    distance = torch.linspace(-1, 1, 101)
-    weights = inside(distance, 1.0)
+    weights = inside(torch.linspace(-1, 1, 101), 1.0)
     assert weights[0] == 1 and weights[-1] == 0 and float(weights[50]) == pytest.approx(0.5)
     assert bool((weights.diff() <= 0).all())
     torch.testing.assert_close(weights + weights.flip(0), torch.ones(101))
@@ -223,9 +221,8 @@ def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs, caplo
 def test_several_styles_share_a_scene_by_place_or_by_attribute(photographs, tmp_path):
     """As the documentation does it: results are values, and one with other Gaussians is saved as any."""
     middle = Sphere((0.0, 0.0, 1.0), 0.3)
-    stylizer = anystyle.load()
     dots, hatching = anystyle.stylize(
-        photographs, ["dots", "fine hatching"], model=stylizer, views=VIEWS, video={"frames": 2}
+        photographs, ["dots", "fine hatching"], model=anystyle.load(), views=VIEWS, video={"frames": 2}
     )
     both = replace(dots, gaussians=blended(dots.gaussians, hatching.gaussians, hatching.weights(middle)))
     inside = (both.gaussians.means - torch.tensor(middle.center)).norm(dim=-1) <= middle.radius

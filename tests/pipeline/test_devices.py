@@ -22,8 +22,7 @@ def test_encoding_and_restyling():
         embedding = stylizer.embed(image=inputs.images(1, (32, 32)))
         meta = stylizer.to("meta")
         stem = meta.backbone.embedder(scene.views.images.to("meta"))
-        features = meta.backbone.aggregator(stem)
-        attributes = meta.backbone.gaussian_head(features, scene.views.images.to("meta"))
+        attributes = meta.backbone.gaussian_head(meta.backbone.aggregator(stem), scene.views.images.to("meta"))
         assert stem.data.is_meta and attributes.color.is_meta
         assert meta.branch(scene.to("meta"), embedding.to("meta")).color.is_meta
 

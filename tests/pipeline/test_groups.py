@@ -14,8 +14,7 @@ from anystyle.types import Gaussians, Geometry, Scene, Views
 
 
 def views(count):
-    generator = torch.Generator().manual_seed(0)
-    return Views(torch.rand(1, count, 3, 16, 16, generator=generator))
+    return Views(torch.rand(1, count, 3, 16, 16, generator=torch.Generator().manual_seed(0)))
 
 
 def change(scale=1.7):

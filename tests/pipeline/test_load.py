@@ -63,14 +63,12 @@ def test_sites_have_injectors_of_their_own(tmp_path):
     """By patterns, of which the last one that matches counts; a branch's file fits the same ones alone."""
     words = [*UNTRAINED, "placement=full"]
     stylizer = anystyle.load("tiny", [*words, MIXED])
-    kinds = {site: type(injector).__name__ for site, injector in stylizer.branch.injectors.items()}
-    assert kinds == {
+    assert {site: type(injector).__name__ for site, injector in stylizer.branch.injectors.items()} == {
         site.name: "FiLM" if site.name.startswith("agg") or site.name == "head/tokens/2" else "LoRA"
         for site in stylizer.backbone.sites
         if site.tapped and site.name != "head/direct"
     } | {"head/direct": "ZeroConv"}
-    config = compose("stylize", ["model=tiny", *words, MIXED])
-    header = branch_header(config, stylizer.branch, {})
+    header = branch_header(compose("stylize", ["model=tiny", *words, MIXED]), stylizer.branch, {})
     save_part(tmp_path / "branch.safetensors", stylizer.branch, header)
     file = f"weights.branch={tmp_path / 'branch.safetensors'}"
     again = anystyle.load("tiny", [*words, MIXED, file]).branch.state_dict()

@@ -96,8 +96,7 @@ def judge(folder):
     for name in ("content/1", "stylized/ink/1", "style/ink"):
         (folder / name).parent.mkdir(parents=True)
         Image.new("L", (4000, 4000)).save(folder / f"{name}.png")
-    paired = pair(folder / "content", folder / "style", folder / "stylized")
-    return Reader()(paired.cells[0])
+    return Reader()(pair(folder / "content", folder / "style", folder / "stylized").cells[0])
 
 
 SPENT = {

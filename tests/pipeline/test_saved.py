@@ -170,8 +170,7 @@ def test_memory_is_told_and_refused_before(monkeypatch):
     device = torch.device("cpu")
     monkeypatch.setattr("anystyle.pipeline.encode.available", lambda device: 4 << 30)
     cameras = Cameras(torch.zeros(1, 24, 4, 4), torch.zeros(1, 24, 3, 3), (384, 384))
-    line = require_splat(1_000_000, cameras, device)
-    assert line == "1,000,000 Gaussians from 24 views take about 1 GiB"
+    assert require_splat(1_000_000, cameras, device) == "1,000,000 Gaussians from 24 views take about 1 GiB"
     with pytest.raises(ValueError, match=r"fewer Gaussians, or fewer views with splat\.cameras"):
         require_splat(5_000_000, cameras, device)
 
@@ -257,8 +256,7 @@ def test_cameras_that_see_nothing_are_told_or_refused(tmp_path, caplog):
     encoded = encoded_file(tmp_path / "scene.ply", stylizer, *options)
     assert "1 of 3 cameras see less than 1% of the scene (1); splat.folder=FOLDER" in caplog.text
     far = replace(wall(), means=wall().means + 1000)
-    targets = encoded.views.images[0]
-    assert fit_colors(far, encoded.cameras, targets, RENDERER).harmonics.isfinite().all()
+    assert fit_colors(far, encoded.cameras, encoded.views.images[0], RENDERER).harmonics.isfinite().all()
     assert len(covering_views(far, encoded.cameras, RENDERER, share=0.9, most=3)) == 1
     far.save(tmp_path / "scene.ply")
     with pytest.raises(UserError, match=r"none of the 3 cameras sees more than 1% .* splat\.folder=FOLDER"):

@@ -27,8 +27,7 @@ def capture(tmp_path):
     lines = []
     for number in range(6):
         name = f"{number:04d}.png"
-        pixels = random.integers(0, 255, (60, 80, 3), dtype=np.uint8)
-        Image.fromarray(pixels).save(tmp_path / "images" / name)
+        Image.fromarray(random.integers(0, 255, (60, 80, 3), dtype=np.uint8)).save(tmp_path / "images" / name)
         if number != 3:
             lines += [f"{number + 1} 1 0 0 0 {-0.1 * number} 0 0 1 {name}", ""]
     model = tmp_path / "sparse" / "0"
@@ -45,8 +44,7 @@ def test_cameras_beside_are_used_and_photographs_without_are_named(capture, capl
     encoded = stylize(capture, "blue ink", model="tiny", **options).encoded
     assert [source.name for source in encoded.sources] == ["0000", "0001", "0002", "0004", "0005"]
     centres = encoded.cameras.world_from_camera[0, :, 0, 3]
-    steps = centres.diff() / centres.diff()[0]
-    np.testing.assert_allclose(steps, [1, 1, 2, 1], atol=1e-4)
+    np.testing.assert_allclose(centres.diff() / centres.diff()[0], [1, 1, 2, 1], atol=1e-4)
     assert "1 of 6 photographs have no stored camera and are left out: 0003" in caplog.text
     assert ("cameras of 5 of 6 photographs are stored beside them, and are used" in caplog.text) == (use == "auto")
     assert read.call_count == 1

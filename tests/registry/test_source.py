@@ -67,8 +67,7 @@ def composed(plugin_folder, tmp_path):
 
 def test_defaults_and_overrides(composed):
     assert composed().placement.depth == 2
-    config = composed("placement.depth=3", "placement.attention=math")
-    built = build(Placement, config.placement)
+    built = build(Placement, composed("placement.depth=3", "placement.attention=math").placement)
     assert (built.depth, built.attention) == (3, "math")
     assert composed("placement=head").placement._target_ == "anystyle.placements.Head"
     assert build(Placement, composed("placement=deeper", "placement.attention=math").placement).depth == 9
@@ -123,8 +122,7 @@ def package(plugin_folder):
 
 def test_packages_serve_presets(composed, package):
     package("placement/shallow.yaml", "# One layer.\ndefaults: [deep, _self_]\ndepth: 1\n")
-    config = composed("placement=shallow", "placement.attention=math")
-    assert build(Placement, config.placement).depth == 1
+    assert build(Placement, composed("placement=shallow", "placement.attention=math").placement).depth == 1
     assert "shallow" in choices("placement") and "shallow" in PluginSource("x", "anystyle://").list("placement", None)
 
 
@@ -151,8 +149,7 @@ def test_two_plugins_of_a_name_are_in_the_way_of_no_other(plugin_folder):
 def test_composed_configurations_can_be_written(composed):
     text = OmegaConf.to_yaml(composed("placement.attention=math"))
     assert "attention: math" in text
-    again = OmegaConf.create(text)
-    assert build(Placement, again.placement).attention == "math"
+    assert build(Placement, OmegaConf.create(text).placement).attention == "math"
 
 
 @pytest.mark.parametrize(

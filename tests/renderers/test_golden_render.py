@@ -98,13 +98,12 @@ def test_real_points(variant: str) -> None:
     intrinsics = torch.from_numpy(data["Ks"]).float()
     intrinsics[:, :2] /= 4
     pose = torch.linalg.inv(torch.from_numpy(data["viewmats"]).float())
-    rgb = torch.from_numpy(data["colors"]).float() / 255
     points = Gaussians(
         means=torch.from_numpy(data["means3d"]).float()[None],
         rotations=torch.tensor([1.0, 0, 0, 0]).expand(1, number, 4),
         scales=torch.full((1, number, 3), 0.01),
         opacities=torch.full((1, number), float(opacity)),
-        harmonics=constant_from_rgb(rgb)[None, :, None],
+        harmonics=constant_from_rgb(torch.from_numpy(data["colors"]).float() / 255)[None, :, None],
     )
     renderer = CpuRenderer(near=0.01, alpha_cap=float(cap))
     image = renderer.accumulate(points, Cameras(pose[None], intrinsics[None], (about["H"], about["W"])))[0]

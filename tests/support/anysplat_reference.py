@@ -84,8 +84,7 @@ def check_gaussians(
     assert scene.clusters is not None
     for batch, record in enumerate(records):
         valid = scene.clusters.valid[batch]
-        count = int(valid.sum())
-        assert count == pytest.approx(record["n_voxels"], rel=1e-3)
+        assert int(valid.sum()) == pytest.approx(record["n_voxels"], rel=1e-3)
         assert list(gaussians.harmonics[batch, valid].mT.shape[1:]) == record["harmonics_shape"][1:]
         found = {
             "means": gaussians.means[batch, valid],

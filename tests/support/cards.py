@@ -12,8 +12,7 @@ SAMPLES = 2
 def texture(rng, cells=(4, 8, 16, 32, 64), size=256):
     """Colours with detail of several sizes, in [0, 1]."""
     layers = [zoom(rng.random((n, n, 3)), (size / n, size / n, 1), order=1) for n in cells]
-    mean = np.mean(layers, axis=0)
-    return np.clip(0.5 + 2.2 * (mean - 0.5), 0, 1)
+    return np.clip(0.5 + 2.2 * (np.mean(layers, axis=0) - 0.5), 0, 1)
 
 
 class World:

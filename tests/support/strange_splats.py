@@ -58,8 +58,7 @@ Case = tuple[str, Callable[[], Strange]]
 
 def cases() -> dict[str, Callable[[], Strange]]:
     """All by name; the suffix of a name is that of the file."""
-    made = itertools.chain(plys(), compressed(), spzs(), sogs(), ksplats())
-    return dict(made)
+    return dict(itertools.chain(plys(), compressed(), spzs(), sogs(), ksplats()))
 
 
 def drawn(seed: int) -> np.random.Generator:

@@ -26,10 +26,9 @@ def small_checkpoint(placement: str | None, prefix: str = "", seed: int = 0) -> 
     state = _published(backbone.state_dict(), keys.backbone_names)
     state["aggregator.patch_embed.mask_token"] = torch.zeros(1, backbone.aggregator.dim)
     if placement is not None:
-        sites = PLACEMENTS[placement].select(backbone.sites)
         branch = StyleBranch(
             backbone,
-            sites=sites,
+            sites=PLACEMENTS[placement].select(backbone.sites),
             make_injector=lambda site: ZeroConv(
                 dim=site.dim, style_dim=STYLE_DIM, hidden=16 if site.name == "head/direct" else 24
             ),

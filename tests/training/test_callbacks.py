@@ -42,8 +42,7 @@ def draw(seed: int, step: int, rank: int = 0) -> float:
 
 def test_a_steps_randomness_depends_on_seed_and_step_alone():
     assert draw(1, 2, 3) == draw(1, 2, 0)
-    values = {draw(seed, step) for seed in range(8) for step in range(8)}
-    assert len(values) == 64
+    assert len({draw(seed, step) for seed in range(8) for step in range(8)}) == 64
     # Neighbouring words give unrelated numbers.
     series = np.array([draw(0, step) for step in range(400)])
     assert abs(np.corrcoef(series[:-1], series[1:])[0, 1]) < 0.15

@@ -80,8 +80,7 @@ def test_a_loader_starts_where_the_run_stands_and_draws_no_random_number(workers
     torch.manual_seed(0)
     before = torch.get_rng_state()
     loader = StepLoader(Steps(), range(3, 7), rank=1, world=2, workers=workers)
-    rows = [batch.images.flatten().tolist() for batch in loader]
-    assert rows == [[step, 1, 2] for step in range(3, 7)]
+    assert [batch.images.flatten().tolist() for batch in loader] == [[step, 1, 2] for step in range(3, 7)]
     # Lightning counts the steps already done.
     assert len(loader) == 7 and torch.equal(torch.get_rng_state(), before)
 

@@ -55,8 +55,7 @@ def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):
     header = read_header(out / "backbone.safetensors")
     made = {name: header.provenance[name] for name in ("steps", "seed", "commit")}
     assert header.part == "backbone" and made == {"steps": 6, "seed": 0, "commit": "begun"}
-    backbone = build(Backbone, header.config["backbone"])
-    load_part(out / "backbone.safetensors", backbone, "backbone")
+    load_part(out / "backbone.safetensors", build(Backbone, header.config["backbone"]), "backbone")
     assert json.loads((out / "metrics.json").read_text())["train/loss"] == pytest.approx(outcome.metrics["train/loss"])
 
 

@@ -33,8 +33,7 @@ def searched(tmp_path, monkeypatch):
             "-m", "training=reconstruction", "loss=[]", "hydra/sweeper=optuna", "hydra.sweeper.n_jobs=1",
             f"hydra.sweeper.n_trials={trials}", "hydra.sweeper.sampler.seed=0", "hydra.sweep.dir=search", *words,
         ])  # fmt: skip
-        found = yaml.safe_load((tmp_path / "search/optimization_results.yaml").read_text())
-        return found, tried
+        return yaml.safe_load((tmp_path / "search/optimization_results.yaml").read_text()), tried
 
     monkeypatch.setattr("anystyle.training.run.train", train)
     return search

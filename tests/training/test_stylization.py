@@ -52,8 +52,7 @@ def test_remembered_scenes_change_nothing():
     training, source = parts()
     batch = source.batch(0)
     first, remembered = (training.encoded(batch.inputs, batch.keys) for _ in range(2))
-    fresh = EncodedScenes(training.encoded.encode, 0)(batch.inputs, batch.keys)
-    for scene in (remembered, fresh):
+    for scene in (remembered, EncodedScenes(training.encoded.encode, 0)(batch.inputs, batch.keys)):
         assert torch.equal(scene.geometry.depth, first.geometry.depth)
         assert torch.equal(scene.attributes.color, first.attributes.color)
         assert torch.equal(scene.clusters.index, first.clusters.index)

@@ -28,8 +28,7 @@ def test_inception_matches_the_reference() -> None:
     net = inception.ArtInception().eval()
     published = with_classifiers(net.state_dict())
     assert len(published) == record["n_keys"]
-    state = networks.part_of(net, fill_sorted(published))
-    net.load_state_dict(state)
+    net.load_state_dict(networks.part_of(net, fill_sorted(published)))
     with torch.no_grad():
         assert_matches(net(hashed(1120, (1, 3, 128, 160))), record["features"])
 

@@ -24,8 +24,7 @@ SMALL = ("model=tiny", "splat.cameras=2", "views.short_side=112", "video.frames=
 @pytest.fixture(scope="module")
 def app(tmp_path_factory):
     """The address of the program; it ends without a traceback when it is interrupted."""
-    out = tmp_path_factory.mktemp("app")
-    command = [sys.executable, "-m", "anystyle", "app", "--out", str(out), *SMALL]
+    command = [sys.executable, "-m", "anystyle", "app", "--out", str(tmp_path_factory.mktemp("app")), *SMALL]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         yield program.stdout.readline().split()[0]

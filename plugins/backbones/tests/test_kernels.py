@@ -81,8 +81,7 @@ def test_memory_is_estimated_before_a_pass_and_after_it(name: str, caplog: pytes
 def test_nothing_of_a_network_comes_from_the_host(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())  # it does not know the meta device
     backbone = network(name)
-    given = views(2, patch=backbone.patch_size)
-    backbone, images = backbone.to("meta"), given.images.to("meta")
+    backbone, images = backbone.to("meta"), views(2, patch=backbone.patch_size).images.to("meta")
     with nothing_kept():
         for mode in (nullcontext(), Kernels("meta")):  # the first keeps what depends on sizes alone
             with mode:

@@ -99,8 +99,7 @@ def with_floaters(gaussians: Gaussians, cameras: Cameras, per_camera: float, *, 
         return gaussians
     added = []
     for view, depth in enumerate(_depths(gaussians, cameras)):
-        generator = torch.Generator().manual_seed(seed + view)
-        draws = torch.rand(count, 4, generator=generator).to(gaussians.means)
+        draws = torch.rand(count, 4, generator=torch.Generator().manual_seed(seed + view)).to(gaussians.means)
         z = (0.3 + 0.6 * draws[:, 0]) * depth.nanquantile(NEAREST).nan_to_num(1.0)
         pixels = torch.stack([draws[:, 1] * width, draws[:, 2] * height, torch.ones_like(z)], dim=-1)
         rays = pixels @ cameras.intrinsics[0, view].inverse().mT

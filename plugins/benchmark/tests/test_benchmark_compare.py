@@ -55,8 +55,7 @@ def test_a_method_is_not_told_from_itself(figures):
 
 def test_the_table_is_written_in_every_form(world, tmp_path, capsys):
     main([str(world[1]), "noise", "pasted", "unstyled", "--out", str(tmp_path)])
-    shown = capsys.readouterr().out
-    assert (tmp_path / "compare.md").read_text() == shown
+    assert (tmp_path / "compare.md").read_text() == capsys.readouterr().out
     rows = list(csv.DictReader((tmp_path / "compare.csv").read_text().splitlines()))
     found = json.loads((tmp_path / "compare.json").read_text())["figures"]
     assert len(rows) == len(found) and {(row["methods"], row["guide"]) for row in rows} >= {("noise, pasted", "image")}

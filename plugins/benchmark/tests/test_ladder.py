@@ -99,8 +99,7 @@ def test_noise_has_the_standard_deviation_that_is_asked_for(shot):
 
 def test_gaussians_move_by_pixels_of_the_nearest_camera(shot):
     share = 0.01
-    moved = distortions.moved(shot.gaussians, shot.cameras, share)
-    offset = (moved.means - shot.gaussians.means)[0]
+    offset = (distortions.moved(shot.gaussians, shot.cameras, share).means - shot.gaussians.means)[0]
     still = (offset == 0).all(-1)
     pixels = []
     for view in range(3):
@@ -163,8 +162,7 @@ def test_a_style_taken_back_is_the_render_of_colours_between(shot):
 
 def made(rows, figure="fid", distortion="view_blur", better="lower"):
     """The verdict on values by rung, in 4 scenes x 4 styles that differ a little."""
-    random = np.random.default_rng(0)
-    values = np.asarray(rows, float)[:, None, None] + 1e-3 * random.normal(size=(1, 4, 4))
+    values = np.asarray(rows, float)[:, None, None] + 1e-3 * np.random.default_rng(0).normal(size=(1, 4, 4))
     return verdict(figure, distortion, values if better == "lower" else -values)
 
 
@@ -200,8 +198,7 @@ def test_a_finding_stands_beside_what_is_expected(figure, distortion, expected, 
 
 
 def test_tau_is_that_of_scipy_and_few_or_contrary_cells_decide_nothing():
-    random = np.random.default_rng(1)
-    values = random.normal(size=(5, 4, 6))
+    values = np.random.default_rng(1).normal(size=(5, 4, 6))
     one = verdict("fid", "view_blur", values)
     taus = [kendalltau(range(5), column).statistic for column in values.reshape(5, -1).T]
     assert one.tau.mean == pytest.approx(np.mean(taus), rel=1e-6)

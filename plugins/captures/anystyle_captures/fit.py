@@ -204,8 +204,7 @@ class Fit(Reconstruction):
         quality = {} if result.heldout is None else result.heldout._asdict()
         measures |= {f"heldout_{name}": value for name, value in quality.items()}
         views = to_paint(views, result, renderer, unlike)
-        scene = scene_of_fit(views, encode(views), result, renderer)
-        return Reconstructed(scene, measures)
+        return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
 
 def warm(options: FitOptions, *, half: bool) -> FitOptions:

@@ -57,8 +57,7 @@ def test_stereo_reads_small_images_and_what_it_finds_lies_where_the_photographs_
     given = images, None, None, 900, 0, cameras
     whole = captures_fit._initial(*given, range(9)).gaussians
     monkeypatch.setattr(captures_fit, "STEREO_SIDE", min(images.shape[-2:]) // 2)
-    small = captures_fit._initial(*given, range(9)).gaussians
-    for initial in (whole, small):
+    for initial in (whole, captures_fit._initial(*given, range(9)).gaussians):
         view, row, column = initial.pixels.unbind(1)
         local = torch.einsum("nij,nj->ni", cameras.camera_from_world[0, view], pad(initial.means, (0, 1), value=1.0))
         image = torch.einsum("nij,nj->ni", cameras.intrinsics[0, view], local[:, :3])

@@ -57,8 +57,7 @@ def test_a_trial_that_would_see_nothing_is_left_out(photographs):
     images, cameras, _ = photographs
     valid = torch.ones(images[:, 0].shape, dtype=torch.bool)
     valid[::2] = False
-    masks = Masks(torch.ones_like(images[:, 0]), valid)
-    given = {"num_gaussians": 900, "options": OPTIONS, "masks": masks}
+    given = {"num_gaussians": 900, "options": OPTIONS, "masks": Masks(torch.ones_like(images[:, 0]), valid)}
     tried = fit_photographs(images, cameras, RENDERER, unseen=(1, 3, 5, 7), **given)
     assert torch.equal(tried.gaussians.means, fit_photographs(images, cameras, RENDERER, **given).gaussians.means)
 
@@ -69,18 +68,15 @@ def test_what_is_ignored_is_neither_learnt_nor_measured_and_other_photographs_fi
     valid, spoiled = torch.ones(images[:, 0].shape, dtype=torch.bool), images.clone()
     for view in range(9):
         valid[view, 10:30, 3 + 4 * view : 12 + 4 * view] = False
-    red = torch.tensor([1.0, 0.0, 0.0])[:, None, None]
-    spoiled = torch.where(valid[:, None], images, red)
+    spoiled = torch.where(valid[:, None], images, torch.tensor([1.0, 0.0, 0.0])[:, None, None])
     masks = Masks(torch.ones_like(images[:, 0]), valid)
     given = {"num_gaussians": 900, "options": OPTIONS, "heldout": (4,)}
     masked = fit_photographs(spoiled, cameras, RENDERER, masks=masks, **given)
     plain = fit_photographs(spoiled, cameras, RENDERER, **given)
     clean = fit_photographs(images, cameras, RENDERER, **given)
     assert masked.heldout.psnr > plain.heldout.psnr + 1 and masked.heldout.psnr > clean.heldout.psnr - 1
-    behind = (RENDERER(masked.gaussians, cameras).color[0].detach() - images).abs().mean(1)[~valid].mean()
-    assert behind < 0.12
-    views = Views(spoiled[None], cameras, valid=valid[None])
-    painted = to_paint(views, masked, RENDERER).images[0]
+    assert (RENDERER(masked.gaussians, cameras).color[0].detach() - images).abs().mean(1)[~valid].mean() < 0.12
+    painted = to_paint(Views(spoiled[None], cameras, valid=valid[None]), masked, RENDERER).images[0]
     assert (painted - images).abs().mean(1)[~valid].mean() < 0.12
     assert torch.equal(painted.movedim(1, -1)[valid], images.movedim(1, -1)[valid])
 

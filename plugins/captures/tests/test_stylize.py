@@ -119,8 +119,7 @@ def test_a_photograph_of_something_else_is_named(stylizer, caplog):
     images, cameras, _ = photographed_wall(num_views=6)
     images = torch.nn.functional.interpolate(images, size=(84, 112), mode="bilinear")
     images[4, :, 20:64, 30:80] = 0.0
-    names = tuple(f"photo_{view}" for view in range(6))
-    views = Views(images[None], cameras.resized((84, 112)), names=names)
+    views = Views(images[None], cameras.resized((84, 112)), names=tuple(f"photo_{view}" for view in range(6)))
     fit = Fit(quality="draft", num_gaussians=1500, num_steps=80, holdout=0, keep=False)
     with caplog.at_level(logging.WARNING):
         fit(views, encoder(stylizer), stylizer.renderer)

@@ -50,8 +50,7 @@ def test_re10k_chunks(tmp_path):
     assert scenes.name(0) == "abc" and scenes.num_views(0) == 3
     views = scenes.read(0, [0, 2])
     assert views.size == (28, 56) and views.names == ("abc_00000", "abc_00002")
-    back = views.cameras.camera_from_world[0, 1, :3]
-    np.testing.assert_allclose(back, camera_from_world, atol=1e-5)
+    np.testing.assert_allclose(views.cameras.camera_from_world[0, 1, :3], camera_from_world, atol=1e-5)
     # 64 x 36 is cut to 64 x 32 and scaled by 7/8; the principal point stays in the middle.
     expected = torch.tensor([[0.8 * 56, 0, 28], [0, 1.4 * 36 * 7 / 8, 14], [0, 0, 1]])
     torch.testing.assert_close(views.cameras.intrinsics[0, 0], expected)

@@ -104,8 +104,7 @@ def test_a_style_list_that_overlaps_the_test_list_is_refused(tmp_path):
     (tmp_path / "stylos.txt").write_text("c.png\n")
     (tmp_path / "mine.txt").write_text("Op_Art/a.png\nOp_Art/b.png\nFauvism/c.png\n")
     options = {"root": str(tmp_path), "size": 16, "exclude": (str(tmp_path / "stylos.txt"),)}
-    kept = WikiArtStyles(**options)
-    assert [path.name for path in kept.paths] == ["d.png", "a.png"]
+    assert [path.name for path in WikiArtStyles(**options).paths] == ["d.png", "a.png"]
     with pytest.raises(ValueError, match=r"2 paintings in common: Fauvism/c.png, Op_Art/b.png"):
         WikiArtStyles(**options, files=str(tmp_path / "mine.txt"))
     (tmp_path / "mine.txt").write_text("Op_Art/a.png\n")

@@ -91,5 +91,4 @@ def codebook(values: NDArray[np.float64], rounds: int = 32) -> tuple[NDArray[np.
             spread = np.sqrt(errors[worst] / counts[worst])
             levels[empty[: len(worst)]], levels[worst] = means[worst] + spread, means[worst] - spread
         levels = np.sort(levels)
-    index = np.searchsorted((levels[1:] + levels[:-1]) / 2, values)
-    return levels, index.astype(np.uint8)
+    return levels, np.searchsorted((levels[1:] + levels[:-1]) / 2, values).astype(np.uint8)

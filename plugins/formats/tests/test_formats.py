@@ -131,8 +131,7 @@ def test_a_codebook_is_no_worse_than_quantiles_and_even_steps():
 
 
 def test_no_level_is_idle_beside_flat_discs():
-    generator = np.random.default_rng(0)
-    logs = np.concatenate([generator.normal(-4, 1, (6000, 2)), np.full((6000, 1), log(1e-12))], 1)
+    logs = np.concatenate([np.random.default_rng(0).normal(-4, 1, (6000, 2)), np.full((6000, 1), log(1e-12))], 1)
     levels, index = codebook(logs)
     assert len(np.unique(index)) == 256 and np.sqrt(np.square(levels[index] - logs)[:, :2].mean()) < 0.0075
 

@@ -131,8 +131,7 @@ def test_stylize_takes_a_file_of_any_format(tmp_path, capsys):
     export(scene(1), tmp_path / "scene.spz", "spz")
     texts = ["--text", "charcoal drawing", "--text", "red dots", "--export", "html"]
     small = ["video.frames=2", "views.short_side=28", "splat.cameras=2", "method.fit_colors=1"]
-    words = [str(tmp_path / "scene.spz"), *texts, "--out", str(tmp_path / "out"), *small]
-    stylize.main(words)
+    stylize.main([str(tmp_path / "scene.spz"), *texts, "--out", str(tmp_path / "out"), *small])
     assert capsys.readouterr().out.strip().endswith("look at " + str(tmp_path / "out" / "scene.html"))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["reconstruction"]["kind"] == "given" and report["reconstruction"]["num_gaussians"] == 400

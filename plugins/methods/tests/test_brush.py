@@ -74,8 +74,7 @@ def result(wall):
 def painted(wall, **options):
     stylizer = anystyle.load("painter")
     painting = stripes(-0.4) * COLOR
-    embedding = stylizer.embed(image=painting)
-    return Brush(**options)(stylizer, wall, Style(image=painting), embedding)
+    return Brush(**options)(stylizer, wall, Style(image=painting), stylizer.embed(image=painting))
 
 
 def test_strokes_lie_on_the_wall_along_its_stripes(wall, result):
@@ -90,8 +89,7 @@ def test_strokes_lie_on_the_wall_along_its_stripes(wall, result):
         [1 - 2 * (q[:, 2] ** 2 + q[:, 3] ** 2), 2 * (q[:, 1] * q[:, 2] + q[:, 0] * q[:, 3])], dim=1
     )
     middle = strokes.means[0, :, :2].abs().amax(1) < 0.7
-    agreement = (along @ torch.tensor([math.cos(0.6), math.sin(0.6)])).abs()[middle]
-    assert agreement.median() > 0.9
+    assert (along @ torch.tensor([math.cos(0.6), math.sin(0.6)])).abs()[middle].median() > 0.9
     assert (strokes.scales[0, :, 0] > strokes.scales[0, :, 1]).all()  # longer than wide, and thin
     assert (strokes.scales[0, :, 2] < strokes.scales[0, :, 1]).all()
     rgb = rgb_from_constant(strokes.harmonics[0, :, 0])
@@ -134,8 +132,7 @@ def test_strokes_end_where_the_photograph_changes(wall):
     """Half of the wall is dark: strokes stay on their half."""
     images = torch.full_like(wall.views.images, 0.2)
     images[..., :48, :] = 0.8  # above the middle, which is y = 0
-    views = replace(wall.views, images=images)
-    scene = replace(colors_alone(views), gaussians=wall.gaussians)
+    scene = replace(colors_alone(replace(wall.views, images=images)), gaussians=wall.gaussians)
     number = wall.gaussians.means.shape[1]
     strokes = painted(scene, size=3.0).map(lambda tensor: tensor[:, number:])
     q, half = strokes.rotations[0], strokes.scales[0, :, 0]

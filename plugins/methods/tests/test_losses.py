@@ -90,12 +90,10 @@ def test_the_first_network_that_is_there_is_taken(monkeypatch: pytest.MonkeyPatc
 
 def test_matched_colours_have_the_moments_of_the_style() -> None:
     content, style = 0.3 + 0.4 * PHOTOGRAPHS[0], 0.35 + 0.3 * STYLE
-    mapped = color_map(content, style)
-    pixels = mapped(content.movedim(1, -1)).flatten(0, 2)
+    pixels = color_map(content, style)(content.movedim(1, -1)).flatten(0, 2)
     wanted = style.movedim(1, -1).flatten(0, 2)
     torch.testing.assert_close(pixels.mean(0), wanted.mean(0), rtol=0, atol=1e-4)
     torch.testing.assert_close(pixels.T.cov(), wanted.T.cov(), rtol=0, atol=1e-4)
-    same = color_map(style, style)
-    torch.testing.assert_close(same.matrix, torch.eye(3), rtol=0, atol=1e-5)
+    torch.testing.assert_close(color_map(style, style).matrix, torch.eye(3), rtol=0, atol=1e-5)
     flat = color_map(content, torch.full((1, 3, 8, 8), 0.25)).of_images(content)
     torch.testing.assert_close(flat, torch.full_like(flat, 0.25), rtol=0, atol=0.05)

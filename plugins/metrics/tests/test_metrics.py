@@ -146,10 +146,9 @@ def test_met3r_warps_features_as_scipy_does():
 def test_met3r_prefers_views_of_one_scene():
     images, cameras, depth = photographed_wall(4)
     known = {"cameras": cameras, "depth": depth[None]}
-    pasted = images[:1].expand_as(images)
     scene, other, noise = (
         scores(Met3rDepth(weights="stand_in"), images, row, **known)["met3r_depth"]
-        for row in (images, pasted, noise_like(images))
+        for row in (images, images[:1].expand_as(images), noise_like(images))
     )
     assert scene < 0.9 * other < other < noise
 
@@ -202,8 +201,7 @@ def test_csd_is_the_cosine_of_the_style_heads_outputs(tmp_path):
 
 @pytest.mark.parametrize("styles", [3, 14])
 def test_csls_and_gaps_are_those_of_numpy(styles):
-    rng = np.random.default_rng(0)
-    similar = rng.uniform(-1, 1, (styles, styles + 1)).astype(np.float32)
+    similar = np.random.default_rng(0).uniform(-1, 1, (styles, styles + 1)).astype(np.float32)
     results, nearest = (np.sort(similar, axis)[::-1] if axis == 0 else np.sort(similar)[:, ::-1] for axis in (0, 1))
     expected = 2 * similar - results[:10].mean(0) - nearest[:, :10].mean(1, keepdims=True)
     np.testing.assert_allclose(csls(torch.from_numpy(similar)), expected, atol=1e-6)

@@ -102,8 +102,7 @@ def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     assert [line.title for line in lines] == ["base", "no_text"]
     low, high = stats.t.interval(0.95, 2, loc=np.mean(values["base"]), scale=stats.sem(values["base"]))
     assert lines[0].half_width(("", "art_fid")) == pytest.approx((high - low) / 2)
-    made = report.table(lines, [("", "art_fid")], better)
-    assert made.rows[0][2] == f"12.17 ± {(high - low) / 2:.4g}"
+    assert report.table(lines, [("", "art_fid")], better).rows[0][2] == f"12.17 ± {(high - low) / 2:.4g}"
     assert "3 seeds" in report.state_notes(lines)[-1]
     (row, _), names = report.data(lines, [("", "art_fid")]).rows, report.data(lines, [("", "art_fid")]).columns
     assert names == ("variant", "source", "art_fid", "art_fid_half_width", "n") and row[4] == "3"

@@ -46,8 +46,7 @@ class CrossedT(Significance):
     units: ClassVar[tuple[Unit, ...]] = ("response",)
 
     def __call__(self, responses: Responses) -> TestResult:
-        factors = responses.factors
-        levels = {factor: int(codes.max()) + 1 for factor, codes in factors.items()}
+        levels = {factor: int(codes.max()) + 1 for factor, codes in responses.factors.items()}
         people = levels.get("participants", 1)
         drawn = " x ".join(f"{count} {factor}" for factor, count in levels.items())
         method = f"t test of the mean over crossed random {drawn or 'factors'}, moment estimates"

@@ -341,8 +341,7 @@ def test_nothing_left_is_said(tmp_path):
 
 
 def test_answers_on_one_side_only_are_noted(tmp_path):
-    rows = [(*row[:4], "A") for row in answer_rows()]
-    checks, _ = judged(write_csv(tmp_path / "r.csv", rows))
+    checks, _ = judged(write_csv(tmp_path / "r.csv", [(*row[:4], "A") for row in answer_rows()]))
     assert "always shown as A" in checks.notes[0]
 
 

@@ -55,8 +55,7 @@ def test_the_papers_design(tmp_path):
     assert all(len(views) == 3 for item in study.items for views in (item.ours, item.theirs, item.content))
     answers = 20 * sum(len(question.sides) for question in plan.questions)
     assert (answers, 40 * answers) == (60, 2400)
-    report = balance(study)
-    assert report == {
+    assert balance(study) == {
         "sets per scene": (4, 4),
         "sets per style": (3, 4),
         "sets per baseline": (20, 20),
@@ -171,8 +170,7 @@ def test_pictures_have_one_size_and_tell_nothing(tmp_path):
     exif[0x0131] = "the other method"
     for file in (tmp_path / "other").rglob("*.png"):
         opened(file).save(file, exif=exif)
-    study = design(sources, small_plan(), tmp_path / "study")
-    for item in study.items:
+    for item in design(sources, small_plan(), tmp_path / "study").items:
         files = [tmp_path / "study" / "pictures" / names[0] for names in (item.ours, item.theirs, item.content)]
         assert {opened(file).size for file in files} == {(64, 48)}
         assert max(opened(files[0]).size) == max(opened(files[0].with_name(item.reference)).size)

@@ -148,8 +148,7 @@ def test_participants_agree_and_say_who_they_are_once(page, tmp_path):
 
 def test_the_page_tells_nobody_which_method_is_which(designed):
     study, _ = designed
-    pictures = dict.fromkeys(study.pictures, "data:,")
-    page = render(study, pictures)
+    page = render(study, dict.fromkeys(study.pictures, "data:,"))
     for word in ("ours", study.ours + '"', "baseline", "degraded", "scene0", "style0", *study.baselines):
         assert word not in page.partition('id="study">')[2].partition("</script>")[0], word
     assert "</script> styles" not in page.partition("<script")[2].partition("</script>")[0]

@@ -72,8 +72,7 @@ def test_a_column_says_the_session_as_well(tmp_path):
 def test_two_sessions_of_other_sets_are_told_to_be_of_the_same_people(tmp_path, caplog):
     first = write_csv(tmp_path / "a.csv", session(True))
     second = write_csv(tmp_path / "b.csv", [(row[0], row[1] + "x", *row[2:]) for row in session(False)])
-    records = read_responses([first, second])
-    assert len({answer.participant for answer in records.answers}) == 6
+    assert len({answer.participant for answer in read_responses([first, second]).answers}) == 6
     assert "1, 2, 3 and 3 others are in a.csv and b.csv, and count as the same people" in caplog.text
     assert "--sessions" in caplog.text
 

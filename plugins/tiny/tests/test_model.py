@@ -21,8 +21,7 @@ def stylizer():
 
 @pytest.fixture(scope="module")
 def scene(stylizer):
-    views = ProceduralScenes(split="heldout", size=112, num_scenes=1).read(0, [0, 2])
-    return stylizer.encode(views)
+    return stylizer.encode(ProceduralScenes(split="heldout", size=112, num_scenes=1).read(0, [0, 2]))
 
 
 def test_it_is_the_papers_mechanism_and_trained(stylizer, caplog):

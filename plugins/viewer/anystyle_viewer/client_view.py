@@ -189,7 +189,6 @@ class ClientView:
         height, width = encoded.cameras.size
         poses = encoded.cameras.world_from_camera[0].cpu()
         for name, pose, photograph in zip(encoded.names, poses, encoded.views.images[0], strict=True):
-            image = to_pil(photograph).resize((160, max(1, round(160 * height / width))))
             frustum = self.client.scene.add_camera_frustum(
                 f"/cameras/{len(self._frusta):03d} {name}",
                 fov=self.path.field_of_view,
@@ -197,7 +196,7 @@ class ClientView:
                 scale=self.path.distance / 60,
                 thickness=1.0,
                 thickness_units="screen",
-                image=np.asarray(image),
+                image=np.asarray(to_pil(photograph).resize((160, max(1, round(160 * height / width))))),
                 wxyz=wxyz_from_matrix(pose[:3, :3]).double().numpy(),
                 position=pose[:3, 3].double().numpy(),
                 visible=False,

@@ -73,8 +73,7 @@ class View(Command):
 
 
 def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
-    splat = only_options("splat", overrides)
-    saved = read_saved(arguments.input, splat)
+    saved = read_saved(arguments.input, only_options("splat", overrides))
     saved = replace(saved, title=arguments.input.resolve().stem)
     size = export_styles(saved, arguments.html, "html")
     print(f"{arguments.html}: {len(saved.styles)} styles, {size / 1e6:.2f} MB; open it in any browser")

@@ -208,8 +208,7 @@ def test_closing_loses_nothing_and_a_damaged_memory_is_no_obstacle(restyler, tmp
     ],
 )
 def test_the_command_line_makes_what_is_shown(controls, file, session, tmp_path, monkeypatch):
-    request = replace(StyleRequest("it's red dots"), **controls)
-    shown = settled(session, request)
+    shown = settled(session, replace(StyleRequest("it's red dots"), **controls))
     command = shlex.split(session.command(str(file), WORDS))
     assert command[:2] == ["anystyle", "stylize"]
     monkeypatch.chdir(tmp_path)

@@ -36,8 +36,7 @@ class StoredCamera:
 
     def for_size(self, height: int, width: int) -> NDArray[np.float64]:
         """Intrinsics in pixels of the same image stored at another resolution."""
-        scale = np.array([width / self.size[1], height / self.size[0], 1.0])
-        return self.intrinsics * scale[:, None]
+        return self.intrinsics * np.array([width / self.size[1], height / self.size[0], 1.0])[:, None]
 
 
 class CameraReader(Pluggable, ABC):

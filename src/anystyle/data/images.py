@@ -194,8 +194,7 @@ def _to_rgb(image: Image.Image) -> Image.Image:
         return Image.fromarray(np.nan_to_num(values).round().clip(0, 255).astype(np.uint8)).convert("RGB")
     if _has_alpha(image):
         image = image.convert("RGBA")
-        white = Image.new("RGBA", image.size, "white")
-        return Image.alpha_composite(white, image).convert("RGB")
+        return Image.alpha_composite(Image.new("RGBA", image.size, "white"), image).convert("RGB")
     return image.convert("RGB")
 
 
@@ -211,8 +210,7 @@ def _opaque(image: Image.Image) -> Image.Image:
     opaque = pixels[..., 3] >= 128
     nearest = distance_transform_edt(~opaque, return_distances=False, return_indices=True)
     assert isinstance(nearest, np.ndarray)
-    here = np.indices(opaque.shape)
-    mirrored = np.clip(2 * nearest - here, 0, np.array(opaque.shape)[:, None, None] - 1)
+    mirrored = np.clip(2 * nearest - np.indices(opaque.shape), 0, np.array(opaque.shape)[:, None, None] - 1)
     rows, columns = np.where(opaque[tuple(mirrored)], mirrored, nearest)
     return Image.fromarray(pixels[rows, columns, :3])
 

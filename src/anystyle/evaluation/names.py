@@ -41,8 +41,7 @@ def splits(stem: str, separators: str = "_") -> list[tuple[str, str]]:
         >>> splits("van_gogh_1")
         [('van', 'gogh_1'), ('van_gogh', '1')]
     """
-    cuts = range(1, len(stem) - 1)
-    return [(stem[:cut], stem[cut + 1 :]) for cut in cuts if stem[cut] in separators]
+    return [(stem[:cut], stem[cut + 1 :]) for cut in range(1, len(stem) - 1) if stem[cut] in separators]
 
 
 def sequence(names: Sequence[str]) -> tuple[int, ...]:

@@ -13,8 +13,7 @@ def sample_at(
     image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"], mode: str = "bilinear", outside: str = "zeros"
 ) -> Float[Tensor, "M C H W"]:
     """Sample ``image`` at each pixel's centre displaced by ``flow`` pixels; ``outside`` is a mode of padding."""
-    centres = (pixels(flow) + 0.5 + flow).movedim(1, -1)
-    grid = centres * 2 / flow.new_tensor(image.shape[:1:-1]) - 1
+    grid = (pixels(flow) + 0.5 + flow).movedim(1, -1) * 2 / flow.new_tensor(image.shape[:1:-1]) - 1
     return F.grid_sample(image, grid, mode=mode, padding_mode=outside, align_corners=False)
 
 

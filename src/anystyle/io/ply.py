@@ -65,8 +65,7 @@ def write(splats: Splats, path: Path, notes: Sequence[str] = ()) -> None:
     # Opacities of 0 and 1 and scales of 0 occur; the margins keep their logits and logarithms finite.
     logits = torch.logit(opacities.clamp(1e-6, 1 - 1e-6))[:, None]
     sizes, quaternions = scales.clamp_min(1e-12).log(), torch.nn.functional.normalize(rotations, dim=-1)
-    colors = _flat(harmonics)
-    columns = torch.cat([means, torch.zeros_like(means), colors, logits, sizes, quaternions], dim=1)
+    columns = torch.cat([means, torch.zeros_like(means), _flat(harmonics), logits, sizes, quaternions], dim=1)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(root - 1)])[:, 0]
     with atomic_path(path) as temporary:
         PlyData([PlyElement.describe(vertices, "vertex")], comments=_ascii(notes)).write(temporary)

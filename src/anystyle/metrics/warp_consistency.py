@@ -201,8 +201,7 @@ def corrected_warp(
     displacement = torch.where(visible[:, None], displacement, torch.nan)
     seen = softmax_splat(torch.ones_like(logits), displacement, torch.zeros_like(logits)).weight >= MIN_WEIGHT
     # The constant of 1e-7 in the sum is negligible beside weights of at least exp(-10) / 2.
-    image = softmax_splat(source, displacement, logits).image
-    return Warped(image * seen, target * seen, seen)
+    return Warped(softmax_splat(source, displacement, logits).image * seen, target * seen, seen)
 
 
 def _logits(source: Tensor, target: Tensor, displacement: Tensor) -> Float[Tensor, "M 1 H W"]:

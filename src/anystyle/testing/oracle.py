@@ -49,8 +49,7 @@ def smooth_image(index: int, shape: Sequence[int]) -> Float[Tensor, "*batch C H 
     count = int(np.prod(batch))
     low = hashed(index, (count, channels, height // 7, width // 7))
     up = F.interpolate(low, size=(height, width), mode="bilinear", align_corners=False)
-    noise = hashed(index + 1, (count, channels, height, width))
-    return (0.7 * up + 0.3 * noise).reshape(tuple(shape))
+    return (0.7 * up + 0.3 * hashed(index + 1, (count, channels, height, width))).reshape(tuple(shape))
 
 
 def fill_named(shapes: Mapping[str, Tensor], rules: Sequence[Sequence[Any]] = (), offset: int = 0) -> dict[str, Tensor]:

@@ -95,8 +95,7 @@ class SceneBatches:
 
     def shape(self, step: int, world: int = 1) -> tuple[int, int]:
         """The number of scenes of ``step`` over all ``world`` processes, and of context views of each."""
-        rng = generator(self.seed, 1, step)
-        context = int(rng.choice(self.counts, p=self.probabilities))
+        context = int(generator(self.seed, 1, step).choice(self.counts, p=self.probabilities))
         return self.batch_size or world * max(1, self.images // world // context), context
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> Batch:

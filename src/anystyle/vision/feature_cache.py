@@ -68,8 +68,7 @@ def digests(images: Float[Tensor, " M *shape"]) -> list[str]:
     """
     if images.shape[0] > 1 and images.stride(0) == 0:
         return digests(images[:1]) * images.shape[0]
-    rows = images.detach().cpu().contiguous()
-    return [f"{tuple(row.shape)} {hash(row.numpy().tobytes())}" for row in rows]
+    return [f"{tuple(row.shape)} {hash(row.numpy().tobytes())}" for row in images.detach().cpu().contiguous()]
 
 
 def batch_size(images: Float[Tensor, "M C H W"]) -> int:

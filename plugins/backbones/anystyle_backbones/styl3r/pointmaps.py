@@ -45,8 +45,7 @@ def cameras_of(points: Float[Tensor, "B V H W 3"]) -> Cameras:
     origin = torch.zeros_like(rotation[..., 0])
     if views > 1:
         rays = (centred / focal[:, None, None])[:, None].expand(-1, views - 1, -1, -1).flatten(0, 1)
-        scale = 2 / min(height, width)
-        motion = resect(chosen[:, 1:].flatten(0, 1), rays, scale=scale)
+        motion = resect(chosen[:, 1:].flatten(0, 1), rays, scale=2 / min(height, width))
         turned = motion.rotation.mT
         rotation[:, 1:] = turned.unflatten(0, (batch, -1))
         origin[:, 1:] = -torch.einsum("mij,mj->mi", turned, motion.translation).unflatten(0, (batch, -1))

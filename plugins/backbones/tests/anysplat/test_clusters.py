@@ -40,8 +40,7 @@ def test_gradients_reach_points_confidences_and_values() -> None:
 
 @pytest.mark.parametrize("span", [3, 2**20, 2**40])
 def test_ranks_equal_those_of_unique_rows(span: int) -> None:
-    generator = torch.Generator().manual_seed(span)
-    cells = torch.randint(-span, span, (300, 3), generator=generator)
+    cells = torch.randint(-span, span, (300, 3), generator=torch.Generator().manual_seed(span))
     cells = torch.cat([cells, cells[::3]])
     assert torch.equal(lexicographic_ranks(cells), torch.unique(cells, dim=0, return_inverse=True)[1])
 

@@ -109,8 +109,7 @@ def test_small() -> None:
 
 @pytest.mark.slow
 def test_the_largest_at_a_fifth_of_its_depth() -> None:
-    backbone = published("giant", "depth=8", "taps=[3,5,6,7]", "alternate_from=3")
-    run(backbone, GOLDEN["giant_depth8"]["v2_42x56"])
+    run(published("giant", "depth=8", "taps=[3,5,6,7]", "alternate_from=3"), GOLDEN["giant_depth8"]["v2_42x56"])
 
 
 @pytest.mark.slow

@@ -35,8 +35,7 @@ def preset(name: str) -> DepthAnything:
 
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_presets_are_the_published_networks(name: str) -> None:
-    backbone = preset(name)
-    state = backbone.state_dict()
+    state = preset(name).state_dict()
     found: dict[str, tuple[int, int]] = {}
     for key, published in keys.backbone_names(state).items():
         part = published.partition(".")[0]

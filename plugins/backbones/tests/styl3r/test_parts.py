@@ -150,12 +150,10 @@ class TestCamerasOfPoints:
         points, pose = self.scene()
         wrong = hashed(9, points.shape[:-1]) < 0.2
         points = torch.where(wrong[..., None], points + hashed(10, points.shape, -2, 2), points)
-        found = cameras_of(points).world_from_camera[0]
-        torch.testing.assert_close(found, pose, rtol=0, atol=0.02)
+        torch.testing.assert_close(cameras_of(points).world_from_camera[0], pose, rtol=0, atol=0.02)
 
     def test_scenes_are_fitted_each_by_itself(self) -> None:
-        both = torch.cat([self.scene(40.0)[0], self.scene(60.0)[0]])
-        cameras = cameras_of(both)
+        cameras = cameras_of(torch.cat([self.scene(40.0)[0], self.scene(60.0)[0]]))
         assert cameras.intrinsics[:, 0, 0, 0].tolist() == pytest.approx([40.0, 60.0], rel=1e-4)
         torch.testing.assert_close(cameras.world_from_camera[0], self.scene(40.0)[1], rtol=1e-4, atol=1e-4)
 
@@ -173,8 +171,7 @@ class TestCamerasOfPoints:
         assert focal.item() == pytest.approx(20 / math.tan(math.radians(5)))
 
     def test_points_are_exponential_in_their_distance(self) -> None:
-        raw = torch.tensor([[0.0, 0, 0], [3.0, 0, 4.0], [0, -1e-4, 0]])
-        found = points_of(raw)
+        found = points_of(torch.tensor([[0.0, 0, 0], [3.0, 0, 4.0], [0, -1e-4, 0]]))
         assert found[0].tolist() == [0, 0, 0]
         assert found[1].norm().item() == pytest.approx(math.exp(5) - 1, rel=1e-5)
         assert found[2, 1].item() == pytest.approx(-1e-4, rel=1e-3)

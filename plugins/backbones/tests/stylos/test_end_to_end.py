@@ -36,8 +36,7 @@ class Network:
         if name not in self.scenes:
             self.backbone.adapter.voxel_size = case["voxel_size"]
             with torch.no_grad():
-                images = oracle.image(case["inputs"]["images"])
-                self.scenes[name] = self.backbone.encode(Views(images))
+                self.scenes[name] = self.backbone.encode(Views(oracle.image(case["inputs"]["images"])))
         return self.scenes[name]
 
     def embed(self, images: Tensor) -> StyleEmbedding:
@@ -69,8 +68,7 @@ def tiny(variant: str) -> Network:
 
 def watched(branch: StylosBranch, scene: Scene, embedding: StyleEmbedding) -> dict[str, Tensor]:
     """What the first block that runs computes on the way, and the raw map, in the golden's words."""
-    layer = branch.aggregator.layers[0]
-    block = next(iter(layer.values()))
+    block = next(iter(branch.aggregator.layers[0].values()))
     seen: dict[str, Tensor] = {}
 
     def keep(module: nn.Module, name: str, value: Callable[[Any, Any], Tensor]) -> Any:
@@ -203,8 +201,7 @@ def test_colours(case: str, variant: str) -> None:
 
 def test_the_demos_network() -> None:
     record = stylos_reference.record()["tiny"]["demo_quick_inference"]
-    shapes = stylos_reference.tiny_shapes("demo")
-    assert len(shapes) == record["n_keys"]
+    assert len(stylos_reference.tiny_shapes("demo")) == record["n_keys"]
     network, case = (
         tiny("demo"),
         stylos_reference.record()["tiny"][record["case"]] | {"voxel_size": record["voxel_size"]},

@@ -60,8 +60,7 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
     measures |= {"registered": float(len(views)), "points": float(len(model.points))}
     measures |= {"parallax_degrees": parallax, "turned": rotation_share}
     measures |= {"searched_pixels": float(max(map(max, graph.sizes)))}
-    reasons = (*doubts, *_left_out(graph, best[0]))
-    return model, Verdict("doubtful" if doubts else "good", reasons, measures)
+    return model, Verdict("doubtful" if doubts else "good", (*doubts, *_left_out(graph, best[0])), measures)
 
 
 def _rank(model: SparseModel) -> tuple[int, int]:

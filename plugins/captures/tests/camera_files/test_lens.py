@@ -46,8 +46,7 @@ def test_a_photograph_is_undistorted_and_filled(lens):
     directions = (border - undistortion.intrinsics[:2, 2]) / undistortion.intrinsics[[0, 1], [0, 1]]
     seen = lens.pixels(torch.from_numpy(directions)).numpy()
     assert seen.min() > -0.01 and (seen < np.array([640, 480]) + 0.01).all()  # nothing is invented
-    edges = np.minimum(seen, np.array([640, 480]) - seen).min(axis=1)
-    assert edges.min() < 2  # and no more is cut than must be
+    assert np.minimum(seen, np.array([640, 480]) - seen).min(axis=1).min() < 2  # and no more is cut than must be
 
     # Newton's method inverts the lens, pixel by pixel of a copy of a quarter of the size.
     v, u = torch.meshgrid(torch.arange(120) + 0.5, torch.arange(160) + 0.5, indexing="ij")

@@ -45,8 +45,7 @@ def test_what_is_written_is_read(tmp_path, write, lens):
         assert cameras[image].undistortion.apply.args[0].radial == pytest.approx(lens.radial, abs=1e-9)
         assert cameras[image].undistortion.apply.args[0].tangential == pytest.approx(lens.tangential, abs=1e-9)
     views, sources, found = known(tmp_path)
-    undistorted = lens.undistortion().intrinsics
-    np.testing.assert_allclose(found.views.intrinsics[0, 0], undistorted, atol=1e-4)
+    np.testing.assert_allclose(found.views.intrinsics[0, 0], lens.undistortion().intrinsics, atol=1e-4)
     # What is drawn on a photograph, such as a mask, is undistorted as the view was.
     drawn = np.asarray(sources[0].of_view(Image.open(images[0])))
     assert np.abs(drawn / 255 - views.images[0, 0].permute(1, 2, 0).numpy()).max() < 0.02
@@ -74,8 +73,7 @@ def test_photographs_that_lie_on_a_side_get_upright_cameras(tmp_path, orientatio
     views, _, _ = known(tmp_path)
     lying = np.asarray(LENS.undistortion().apply(Image.fromarray(pixels)))
     seen = (views.images[0, 0].permute(1, 2, 0).numpy() * 255).round()
-    radial_only = np.rot90(lying, -1 if orientation == 6 else 1)
-    assert np.abs(seen - radial_only).mean() < 3
+    assert np.abs(seen - np.rot90(lying, -1 if orientation == 6 else 1)).mean() < 3
 
 
 def rig(folder):

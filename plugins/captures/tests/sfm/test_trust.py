@@ -138,8 +138,7 @@ def test_turns_are_told_from_steps(rng):
 def preview(rng, base=None):
     """Descriptors near those of a base."""
     values = rng.normal(size=(300, 128)) if base is None else base + 0.02 * rng.normal(size=base.shape)
-    keypoints = np.tile(np.arange(300.0)[:, None], (1, 6))
-    return largest_features(keypoints, values)
+    return largest_features(np.tile(np.arange(300.0)[:, None], (1, 6)), values)
 
 
 def test_previews_are_of_the_largest_features(rng):

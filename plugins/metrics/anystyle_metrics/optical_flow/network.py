@@ -110,8 +110,7 @@ def upsample(flow: Float[Tensor, "M 2 h w"], logits: Float[Tensor, "M 576 h w"])
     batch, _, height, width = flow.shape
     convex = logits.unflatten(1, (9, 64)).softmax(dim=1)  # M 9 64 h w
     neighbours = F.unfold(8 * flow, 3, padding=1).reshape(batch, 2, 9, height, width)
-    fine = torch.einsum("mcnhw,mnshw->mcshw", neighbours, convex)
-    return F.pixel_shuffle(fine.flatten(1, 2), 8)
+    return F.pixel_shuffle(torch.einsum("mcnhw,mnshw->mcshw", neighbours, convex).flatten(1, 2), 8)
 
 
 class InstanceNorm(nn.Module):

@@ -33,8 +33,7 @@ def test_raft_matches_the_reference() -> None:
 
 
 def test_loading_is_strict(tmp_path) -> None:
-    net = network.RaftNetwork()
-    state = with_aliases(net.state_dict())
+    state = with_aliases(network.RaftNetwork().state_dict())
     torch.save({f"module.{key}": value for key, value in state.items()}, tmp_path / "right.pth")
     network.load(path=tmp_path / "right.pth")
     del state["fnet.conv1.bias"]

@@ -134,8 +134,7 @@ def volumes() -> NDArray[np.uint8]:
     noise = np.clip(_make_noise(NOISE_SIDE) / NOISE_STEP + 128.5, 0, 255).astype(np.uint8)
     cells, edges = _make_cells(LEAF_SIDE, 8)
     border = np.clip(edges / EDGE_STEP + 0.5, 0, 255).astype(np.uint8)
-    parts = [noise, _make_leaves(LEAF_SIDE, 9000), cells, border]
-    return np.concatenate([part.ravel() for part in parts])
+    return np.concatenate([part.ravel() for part in [noise, _make_leaves(LEAF_SIDE, 9000), cells, border]])
 
 
 @compiled

@@ -105,8 +105,7 @@ def masked_mean(values: Tensor, valid: Bool[Tensor, "..."]) -> Tensor:
 
 
 def _into(frame: Float[Tensor, "B V 4 4"], points: Tensor) -> Tensor:
-    flat = points.flatten(2, -2)
-    local = flat @ frame[..., :3, :3].mT + frame[..., None, :3, 3]
+    local = points.flatten(2, -2) @ frame[..., :3, :3].mT + frame[..., None, :3, 3]
     return local.reshape(points.shape)
 
 
