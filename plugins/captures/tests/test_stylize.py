@@ -1,7 +1,6 @@
 """Photographs in: cameras found, a scene fitted, styles as its colours; and captures that cannot work."""
 
 import json
-import logging
 
 import pytest
 import torch
@@ -18,6 +17,7 @@ from tests.support.real_data import real
 
 FOCAL, SIZE = 200.0, (168, 192)
 SHORT = Fit(quality="draft", num_gaussians=1500, num_steps=60, holdout=4)
+WHOLE = Fit(quality="draft", num_gaussians=1500, num_steps=80, holdout=0, keep=False)
 QUICK = {"quality": "draft", "num_gaussians": 800, "num_steps": 20}
 VIEWS, VIDEO = ViewOptions(short_side=84), {"frames": 2, "scale": 0.5}
 
@@ -109,9 +109,7 @@ def test_a_moving_figure_is_reported(stylizer, caplog, moves):
     images, cameras, _ = photographed_wall(num_views=5)
     images = torch.nn.functional.interpolate(images, size=(84, 112), mode="bilinear")
     views = Views(walked_through(images)[None] if moves else images[None], cameras.resized((84, 112)))
-    fit = Fit(quality="draft", num_gaussians=1500, num_steps=80, holdout=0, keep=False)
-    with caplog.at_level(logging.WARNING):
-        fit(views, encoder(stylizer), stylizer.renderer)
+    WHOLE(views, encoder(stylizer), stylizer.renderer)
     assert ("something moved while they were taken" in caplog.text) is moves
 
 
@@ -120,17 +118,14 @@ def test_a_photograph_of_something_else_is_named(stylizer, caplog):
     images = torch.nn.functional.interpolate(images, size=(84, 112), mode="bilinear")
     images[4, :, 20:64, 30:80] = 0.0
     views = Views(images[None], cameras.resized((84, 112)), names=tuple(f"photo_{view}" for view in range(6)))
-    fit = Fit(quality="draft", num_gaussians=1500, num_steps=80, holdout=0, keep=False)
-    with caplog.at_level(logging.WARNING):
-        fit(views, encoder(stylizer), stylizer.renderer)
+    WHOLE(views, encoder(stylizer), stylizer.renderer)
     (line,) = [record.message for record in caplog.records if "differs in a large part" in record.message]
     assert "photo_4 (" in line and "photo_3" not in line and "leave them out or mask it" in line
 
 
 def test_a_capture_that_cannot_work_ends_in_a_plain_sentence(tmp_path, stylizer, caplog):
     photos, style = write(tmp_path / "photos", arc(2, 10)), torch.rand(3, 32, 32)
-    with caplog.at_level(logging.WARNING):
-        results = anystyle.stylize(photos, style, model=stylizer, poses=PoseOptions("auto"), views=VIEWS)
+    results = anystyle.stylize(photos, style, model=stylizer, poses=PoseOptions("auto"), views=VIEWS)
     reason = "2 photographs are too few"
     assert reason in caplog.text and "what the backbone predicts in a single pass" in caplog.text
     report = results[0].report["reconstruction"]
