@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from numpy.lib.recfunctions import append_fields
 from plyfile import PlyData, PlyElement
 
 from anystyle.io import ply
@@ -123,10 +124,7 @@ def test_the_filter_of_mip_splatting_is_applied(tmp_path, caplog):
     )  # fmt: skip
     given.save(tmp_path / "plain.ply")
     data = PlyData.read(tmp_path / "plain.ply")["vertex"].data
-    wider = np.empty(len(data), dtype=[*data.dtype.descr, ("filter_3D", "f4")])
-    for name in data.dtype.names:
-        wider[name] = data[name]
-    wider["filter_3D"] = [0.0, 0.01, 0.02, 0.01, np.nan]
+    wider = append_fields(data, "filter_3D", [0.0, 0.01, 0.02, 0.01, np.nan], "f4", usemask=False)
     PlyData([PlyElement.describe(wider, "vertex")]).write(tmp_path / "mip.ply")
     read = Gaussians.load(tmp_path / "mip.ply")
     width = torch.tensor([0.0, 0.01, 0.02, 0.01, 0.0])

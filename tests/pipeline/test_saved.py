@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.lib.recfunctions import append_fields
 from plyfile import PlyData, PlyElement
 
 import anystyle
@@ -49,10 +50,7 @@ def file(tmp_path):
     path = tmp_path / "scene.ply"
     glossy().save(path)
     data = PlyData.read(path)["vertex"].data
-    wider = np.empty(len(data), dtype=[*data.dtype.descr, ("label", "i4")])
-    for name in data.dtype.names:
-        wider[name] = data[name]
-    wider["label"] = np.arange(len(data))
+    wider = append_fields(data, "label", np.arange(len(data)), "i4", usemask=False)
     wider["opacity"][3] = -200.0
     for index in range(4):
         wider[f"rot_{index}"] *= 1.7

@@ -38,11 +38,7 @@ def assert_same(actual: Renders, expected: Renders, atol: float = 1e-5) -> None:
 
 def with_gradients(scene: Gaussians, views: Cameras) -> tuple[Gaussians, Cameras, list[Tensor]]:
     scene = scene.map(lambda tensor: tensor.clone().requires_grad_())
-    views = replace(
-        views,
-        world_from_camera=views.world_from_camera.clone().requires_grad_(),
-        intrinsics=views.intrinsics.clone().requires_grad_(),
-    )
+    views = views.map(lambda tensor: tensor.clone().requires_grad_())
     return scene, views, [*(getattr(scene, name) for name in NAMES), views.world_from_camera, views.intrinsics]
 
 

@@ -41,9 +41,15 @@ def test_every_form_is_written(evaluated, tmp_path):
         assert plot.width > 300 and len(np.unique(np.asarray(plot.convert("L")))) > 4
 
 
-def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_in(evaluated, tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda score, path: drawn.append(score))
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures, in place of their files."""
+    figures = []
+    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda figure, path: figures.append(figure))
+    return figures
+
+
+def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_in(evaluated, tmp_path, drawn):
     command.Report()([str(evaluated), "--out", str(tmp_path / "out")])
     art_fid, psnr = drawn[0].axes
     assert [label.get_text() for label in art_fid.get_yticklabels()] == ["evaluated"]
@@ -52,9 +58,7 @@ def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_
     assert art_fid.patches[0].get_facecolor() != psnr.patches[0].get_facecolor()
 
 
-def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda score, path: drawn.append(score))
+def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, drawn):
     values = [10.0, 12.0, 14.5]
     lines = [
         Line("base", "ours", "", {("", "psnr"): (*values, math.nan)}),
@@ -70,9 +74,7 @@ def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, monkeypatch):
     assert axis.get_xlim()[1] > high and "95 % t interval" in drawn[0].get_supxlabel()
 
 
-def test_the_line_of_a_scene_in_the_spread_is_its_score_in_the_table(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr("anystyle.evaluation.plots.save", lambda score, path: drawn.append(score))
+def test_the_line_of_a_scene_in_the_spread_is_its_score_in_the_table(tmp_path, drawn):
     rows = tuple(Row("street", style, {"art_fid": value}) for style, value in (("a", 30.0), ("b", 50.0)))
     for facts, groups in (({"scenes": ["street"]}, {}), ({}, {"scene street": {"art_fid": 25.0}})):
         plots.spread(
@@ -96,12 +98,8 @@ def test_without_what_draws_the_tables_are_written_all_the_same(evaluated, tmp_p
     monkeypatch.setattr("anystyle.evaluation.plots.plotting", absent)
     command.Report()([str(evaluated), "--out", str(tmp_path / "out")])
     assert 'no plot: plots need matplotlib: pip install "anystyle[report]"' in capsys.readouterr().err
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        ".anystyle",
-        "table.csv",
-        "table.md",
-        "table.tex",
-    ]
+    written = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert written == [".anystyle", "table.csv", "table.md", "table.tex"]
 
 
 def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):

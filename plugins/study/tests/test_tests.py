@@ -13,6 +13,8 @@ from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
 from anystyle_study.statistics import Crossing, effects, holm, krippendorff_alpha
 from tests.support.study_cases import table
 
+SCENES, STYLES = tuple(f"{item % 5}" for item in range(20)), tuple(f"{item // 5}" for item in range(20))
+
 
 def answers(seed: int, people: int = 40, items: int = 20, shift: float = -0.3) -> Responses:
     random = np.random.default_rng(seed)
@@ -118,8 +120,7 @@ def test_crossed_moments_are_unbiased_in_an_incomplete_table():
 
 def test_scenes_and_styles_widen_the_interval_and_the_claim():
     rows = answers(3)
-    names = [tuple(f"{i % 5}" for i in range(20)), tuple(f"{i // 5}" for i in range(20))]
-    shared = replace(rows, item_scenes=names[0], item_styles=names[1])
+    shared = replace(rows, item_scenes=SCENES, item_styles=STYLES)
     assert CrossedT()(rows).generalizes_to == ("participants", "items")
     assert CrossedT()(shared).generalizes_to == ("participants", "scenes", "styles")
     two = replace(shared, item_scenes=tuple(f"{i % 2}" for i in range(20)))
@@ -153,11 +154,7 @@ def test_ties_and_few_people_that_leave_no_interval_are_told():
 def test_the_crossed_mean_of_a_complete_table_claims_no_more_than_one_factor_alone():
     """Negative components, as scenes and styles have in half of all tables without their variance, lower no error."""
     for seed in range(20):
-        rows = replace(
-            answers(seed, people=24),
-            item_scenes=tuple(f"{i % 5}" for i in range(20)),
-            item_styles=tuple(f"{i // 5}" for i in range(20)),
-        )
+        rows = replace(answers(seed, people=24), item_scenes=SCENES, item_styles=STYLES)
         crossed = CrossedT()(rows)
         for unit in ("participant", "item"):
             assert crossed.pvalue >= OneSampleT()(rows.at(unit)).pvalue * (1 - 1e-9), (seed, unit)
