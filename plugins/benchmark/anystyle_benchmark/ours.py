@@ -63,9 +63,8 @@ def judged_cameras(
         raise UserError(f"the camera of photograph {absent[0]} was not found")
     chosen = [names.index(view) for view in views]
     whole = [sources[index].source_intrinsics(cameras.intrinsics[0, index]) for index in chosen]
-    return replace(cameras.select(chosen), intrinsics=torch.stack(whole)[None], size=sources[chosen[0]].size).resized(
-        size
-    )
+    known = replace(cameras.select(chosen), intrinsics=torch.stack(whole)[None], size=sources[chosen[0]].size)
+    return known.resized(size)
 
 
 if __name__ == "__main__":

@@ -67,15 +67,10 @@ class StructureFromMotion(PoseEstimator):
         registered = np.flatnonzero(model.registered).tolist()
         if len(registered) < MIN_VIEWS:
             return result.verdict
-        shots = [
-            shot
-            for view in registered
-            for shot in (
-                [_shot(originals[view], photographs[view], model, view)]
-                if cut is None
-                else _cut_shots(cut, originals[view], model, view)
-            )
-        ]
+        if cut is None:
+            shots = [_shot(originals[view], photographs[view], model, view) for view in registered]
+        else:
+            shots = [shot for view in registered for shot in _cut_shots(cut, originals[view], model, view)]
         size = common_size([shot.size for shot in shots], short_side=short_side, multiple=multiple, enlarge=enlarge)
         require_views(len(shots), size)
         pictures, intrinsics = [], []

@@ -85,9 +85,8 @@ class ModelRenders(Protocol):
         self._render(images, on_progress)
         folders = (images / name for name in ("content", "style", "stylized", "depth"))
         # The folder may hold a larger evaluation.
-        pairing = pair(*folders, layout="{scene}/{style}_{frame}", missing="allow").chosen(
-            self.planned_scenes, self.planned_styles
-        )
+        pairing = pair(*folders, layout="{scene}/{style}_{frame}", missing="allow")
+        pairing = pairing.chosen(self.planned_scenes, self.planned_styles)
         pairing.require()
         evaluation = judge_pairing(self.metrics, pairing, on_progress)
         scenes = [images / "stylized" / scene for scene in self.planned_scenes]

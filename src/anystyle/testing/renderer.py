@@ -94,9 +94,8 @@ def test_points_appear_where_they_project(plugin: Subject[Renderer]) -> None:
 def test_long_gaussians_are_turned(plugin: Subject[Renderer]) -> None:
     """A long Gaussian has the extent that its quaternion wxyz gives it across the line of sight."""
     rotation, scales = torch.tensor([[[0.8, 0.5, 0.2, 0.3]]]), torch.tensor([[[0.02, 0.3, 0.02]]])
-    alpha = _render(
-        plugin, replace(_single(torch.zeros(3), size=1.0), rotations=rotation, scales=scales), cameras(1, 1, (56, 56))
-    ).alpha[0, 0]
+    turned = replace(_single(torch.zeros(3), size=1.0), rotations=rotation, scales=scales)
+    alpha = _render(plugin, turned, cameras(1, 1, (56, 56))).alpha[0, 0]
     share, place = alpha / alpha.sum(), torch.arange(56) - 27.5
     seen = float((share * (place**2 + place[:, None] ** 2)).sum())
     expected = float(covariances(rotation, scales)[0, 0].diagonal()[:2].sum()) * (56 / 4) ** 2

@@ -78,9 +78,8 @@ class DepthAnythingCheckpoints(Published):
 
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         options = options_of(self.without_prefix(state))
-        return {f"backbone.{name}": value for name, value in options.items()} | {
-            "branch.sh_degree": options.get("sh_degree", 0)
-        }
+        degree = {"branch.sh_degree": options.get("sh_degree", 0)}
+        return {f"backbone.{name}": value for name, value in options.items()} | degree
 
     def parts(self, state: Mapping[str, Tensor]) -> dict[str, bool]:
         """Most sizes are published without a Gaussian head."""

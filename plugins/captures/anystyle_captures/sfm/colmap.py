@@ -165,9 +165,8 @@ def _import_photographs(folder: Path, photographs: Sequence[Photograph], sizes: 
             (folder / name).parent.mkdir(exist_ok=True)
             image.save(folder / name)
             if masked:  # COLMAP leaves out what has none, where one has
-                levels = np.asarray(
-                    (mask if cut is None else cut.view(part, mask).convert("L")).resize((width, height))
-                )
+                view = mask if cut is None else cut.view(part, mask).convert("L")
+                levels = np.asarray(view.resize((width, height)))
                 file = folder / "masks" / f"{name}.png"
                 file.parent.mkdir(parents=True, exist_ok=True)
                 Image.fromarray(np.where(levels > 127, 255, 0).astype(np.uint8)).save(file)
