@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 from typing import get_args
 
@@ -43,9 +44,8 @@ def flags() -> argparse.ArgumentParser:
 def job(config, arguments) -> None:
     placement = build(Placement, config.placement)
     if arguments.fail is not None:
-        raise {"user": UserError("two\nlines"), "bug": RuntimeError("a bug"), "interrupt": KeyboardInterrupt}[
-            arguments.fail
-        ]
+        errors = {"user": UserError("two\nlines"), "bug": RuntimeError("a bug"), "interrupt": KeyboardInterrupt}
+        raise errors[arguments.fail]
     sys.stdout.write(f"JOB {type(placement).__name__} {config.seed} {arguments.text} {arguments.inputs}\n")
 
 
@@ -78,13 +78,8 @@ def command(tmp_path, monkeypatch, capsys):
 
 def call(*words: str, cwd: Path | None = None, **environment: str):
     """Run the program as a user does."""
-    return subprocess.run(
-        [sys.executable, "-m", "anystyle", *words],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
-    )
+    command, env = [sys.executable, "-m", "anystyle", *words], os.environ | {"OMP_NUM_THREADS": "1"} | environment
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env)
 
 
 @pytest.mark.parametrize("words", [["--help"], ["plugins"], ["plugins", "loss"], ["plugins", "backbone"]])
@@ -144,9 +139,8 @@ def test_choices_that_are_known_before_torch_are_those_of_their_options():
     from anystyle.training.trainer import RANGES
 
     known = dict(ELSEWHERE["choices"])
-    assert {str(word) for each in get_args(_PRECISION_INPUT) for word in get_args(each)} == {
-        *known["trainer.precision"]
-    }
+    lightnings = {str(word) for each in get_args(_PRECISION_INPUT) for word in get_args(each)}
+    assert lightnings == {*known["trainer.precision"]}
     assert known["precision"] == [*PRECISIONS]
     for key in ("resume", "checkpoint.mode"):
         assert known[key] == [*get_args(RANGES[key])]
@@ -300,12 +294,9 @@ def test_help_and_configuration(command):
 def test_multirun_runs_every_combination(command):
     status, out, err = command("in", "-m", "placement=head,full", "seed=1,2", "--text", "a, b")
     assert status == 0
-    assert err.splitlines() == [
-        f"job {n} of 4: placement={name} seed={seed}"
-        for n, (name, seed) in enumerate(((name, seed) for name in ("head", "full") for seed in (1, 2)), 1)
-    ]
-    pairs = [(name, seed) for name in ("Head", "Full") for seed in (1, 2)]
-    assert out.splitlines() == [f"JOB {name} {seed} ['a, b'] ['in']" for name, seed in pairs]
+    jobs = [*product(("head", "full"), (1, 2))]
+    assert err.splitlines() == [f"job {n} of 4: placement={name} seed={seed}" for n, (name, seed) in enumerate(jobs, 1)]
+    assert out.splitlines() == [f"JOB {name.title()} {seed} ['a, b'] ['in']" for name, seed in jobs]
 
 
 def test_each_failing_job_of_a_multirun_is_named(command):

@@ -200,9 +200,8 @@ def test_what_cannot_be_judged_is_one_line_and_leaves_nothing(tmp_path, capsys):
         assert told in line, line
         assert not Path("out").exists() or not any(Path("out").glob("metrics.*")), told
     picture(stylized / "one" / "c_0.png", 0)
-    assert "1 of 13 stylized images have no partner: one/c_0 (no style c)" in fails(
-        capsys, *given, *TOY, "--out", "out"
-    )
+    line = fails(capsys, *given, *TOY, "--out", "out")
+    assert "1 of 13 stylized images have no partner: one/c_0 (no style c)" in line
 
 
 def test_two_evaluations_do_not_share_a_folder(tmp_path, capsys):
@@ -218,9 +217,8 @@ def test_folders_compose_no_model_and_a_style_encoder_where_one_is_named(tmp_pat
     given = flags(*folders(tmp_path / "in", scenes=("one",), styles=("a",), frames=1))
     run(*given, *TOY, "--out", "out")
     assert not {"backbone", "model", "placement", "style_encoder"} & metrics("out")["provenance"]["config"].keys()
-    assert "metric=clip_style needs a style encoder; add style_encoder=NAME" in fails(
-        capsys, *given, "metric=[clip_style]", "--out", "other"
-    )
+    line = fails(capsys, *given, "metric=[clip_style]", "--out", "other")
+    assert "metric=clip_style needs a style encoder; add style_encoder=NAME" in line
     words = ["metric=[clip_style]", "style_encoder=tiny", "weights.style_encoder=tiny_style_encoder"]
     run(*given, *words, "--out", "style")
     assert -1 <= metrics("style")["clip_style"] <= 1

@@ -79,12 +79,8 @@ def test_a_plugin_is_shown_in_full(capsys, folder):
 def test_problems_are_told_once(tmp_path):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "pyproject.toml").write_text("[project")
-    done = subprocess.run(
-        [sys.executable, "-m", "anystyle", "plugins"],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "ANYSTYLE_PLUGINS": str(tmp_path)},
-    )
+    command, environment = [sys.executable, "-m", "anystyle", "plugins"], {"ANYSTYLE_PLUGINS": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | environment)
     assert done.returncode == 0
     assert done.stderr.startswith(f"ignored: {tmp_path}/bad/pyproject.toml cannot be read: ")
     assert done.stderr.count("\n") == 1

@@ -50,24 +50,15 @@ def test_it_is_formatted_as_the_project_is(written):
 def test_its_own_test_runs_in_its_folder(written):
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     environment.pop("ANYSTYLE_PLUGINS", None)
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
-        cwd=written / "my_placement",
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
+    command, folder = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"], written / "my_placement"
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
     assert "1 passed" in done.stdout
 
 
 def test_it_is_a_package_that_can_be_built(written, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), "my_injector"],
-        cwd=written,
-        capture_output=True,
-        text=True,
-    )
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), "my_injector"]
+    done = subprocess.run(command, cwd=written, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:

@@ -18,13 +18,9 @@ pytest.importorskip("mkdocs", reason="the site is built by mkdocs: pip install -
 def build(root: Path, out: Path) -> subprocess.CompletedProcess[str]:
     recipe = re.search(r"^docs:.*\n(?:\t.*\n)*?\t.*bin\)/mkdocs (.*)$", (ROOT / "Makefile").read_text(), re.I | re.M)
     assert recipe is not None
-    return subprocess.run(
-        [sys.executable, "-m", "mkdocs", *recipe[1].split(), "--site-dir", str(out)],
-        cwd=root,
-        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
-        capture_output=True,
-        text=True,
-    )
+    command = [sys.executable, "-m", "mkdocs", *recipe[1].split(), "--site-dir", str(out)]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    return subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True)
 
 
 def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
@@ -37,10 +33,8 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
             assert (tmp_path / "site" / page / "index.html").is_file()
             assert f'href="{page}/"' in navigation, page
     assert 'class="mermaid"' in (tmp_path / "site" / "design" / "index.html").read_text()
-    assert (
-        "anystyle.contracts.backbone.Backbone.encode"
-        in (tmp_path / "site" / "reference" / "contracts" / "index.html").read_text()
-    )
+    reference = (tmp_path / "site" / "reference" / "contracts" / "index.html").read_text()
+    assert "anystyle.contracts.backbone.Backbone.encode" in reference
     # What lies outside of the pages is named by its path.
     assert "01_stylize (<code>notebooks/01_stylize.ipynb</code>)" in first
     assert not (tmp_path / "site" / "site").exists()

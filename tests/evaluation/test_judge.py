@@ -118,9 +118,8 @@ def test_a_scene_without_a_score_is_told():
     given = comparison(2, 2)
     found = judge({"half": Half()}, [row_of(given, 0), row_of(given, 1)])
     assert found.scores["mean"] == found.groups["scene scene_0"]["mean"]
-    assert found.provenance["warnings"] == [
-        "mean is the mean over the scenes without scene_1, which have too little for it"
-    ]
+    told = "mean is the mean over the scenes without scene_1, which have too little for it"
+    assert found.provenance["warnings"] == [told]
     assert mean([float("nan")]) != mean([float("nan")])
 
 

@@ -127,11 +127,8 @@ def test_token_attention_is_softmax_over_the_style_tokens():
     tokens, style = _tokens().to(torch.float64), torch.randn(2, 7, STYLE, dtype=torch.float64)
     given = injector(tokens, style).patches
     for scene, coded in enumerate(injector.style_norm(injector.style_tokens(style))):
-        query, keys, values = (
-            injector.query(injector.norm(tokens.patches[scene])),
-            injector.key(coded),
-            injector.value(coded),
-        )
+        query, keys = injector.query(injector.norm(tokens.patches[scene])), injector.key(coded)
+        values = injector.value(coded)
         heads = [
             (query[..., part] @ keys[:, part].T / math.sqrt(3)).softmax(-1) @ values[:, part]
             for part in (slice(0, 3), slice(3, 6))

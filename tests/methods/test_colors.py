@@ -218,10 +218,8 @@ def test_renders_of_solved_colors_come_from_the_views_that_they_were_solved_with
         rendered = kept_render(solved, views.select([view]), RENDERER)
         assert rendered is not None
         torch.testing.assert_close(rendered, RENDERER(solved, views.select([view])).color[0, 0], rtol=0, atol=1e-4)
-    others = (
-        replace(solved, means=solved.means.clone()),
-        replace(solved, harmonics=solved.harmonics.repeat(1, 1, 4, 1)),
-    )
-    assert all(kept_render(other, views.select([0]), RENDERER) is None for other in others)
+    copied = replace(solved, means=solved.means.clone())
+    higher = replace(solved, harmonics=solved.harmonics.repeat(1, 1, 4, 1))
+    assert all(kept_render(other, views.select([0]), RENDERER) is None for other in (copied, higher))
     assert kept_render(solved, views.select([0]).resized((12, 16)), RENDERER) is None
     assert kept_render(solved, views.select([0]), CpuRenderer()) is None

@@ -17,14 +17,8 @@ from anystyle_backbones import dpt, heads
 def test_attention_is_torch_s_own() -> None:
     torch.manual_seed(0)
     ours, theirs = Attention(16, 4, qk_norm=False), nn.MultiheadAttention(16, 4, batch_first=True)
-    theirs.load_state_dict(
-        {
-            "in_proj_weight": ours.qkv.weight,
-            "in_proj_bias": ours.qkv.bias,
-            "out_proj.weight": ours.proj.weight,
-            "out_proj.bias": ours.proj.bias,
-        }
-    )
+    into = {"in_proj_weight": ours.qkv.weight, "in_proj_bias": ours.qkv.bias}
+    theirs.load_state_dict(into | {"out_proj.weight": ours.proj.weight, "out_proj.bias": ours.proj.bias})
     x = hashed(1, (2, 5, 16), -1, 1)
     torch.testing.assert_close(ours(x), theirs(x, x, x, need_weights=False)[0], rtol=1e-5, atol=1e-6)
 

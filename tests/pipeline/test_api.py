@@ -187,12 +187,8 @@ def test_names_are_plain_and_bounded():
 
 def test_a_style_has_the_name_that_it_is_given_else_the_paintings_title(stylizer, tmp_path):
     Image.new("RGB", (40, 30), (200, 30, 30)).save(tmp_path / "45.jpg")
-    styles = [
-        Named(tmp_path / "45.jpg", "Blue  Horses"),
-        Path("example:wave"),
-        tmp_path / "45.jpg",
-        Named("ink", "Tinte"),
-    ]
+    picture = tmp_path / "45.jpg"
+    styles = [Named(picture, "Blue  Horses"), Path("example:wave"), picture, Named("ink", "Tinte")]
     embedded = embed_styles(styles, stylizer)
     assert [style.title for style in embedded] == ["Blue Horses", "The Great Wave off Kanagawa", "45", "Tinte"]
     assert [style.name for style in embedded] == ["blue-horses", "the-great-wave-off-kanagawa", "45", "tinte"]

@@ -215,9 +215,8 @@ def test_beyond_what_was_photographed_a_film_fades_to_the_background_unless_told
 def test_the_command_writes_a_folder_or_the_file_that_it_is_told(tmp_path, capsys):
     inputs.gaussians(1, 20).save(tmp_path / "scene.ply")
     poses = [{"file_path": f"{i}.png", "transform_matrix": torch.eye(4).tolist()} for i in range(2)]
-    (tmp_path / "transforms.json").write_text(
-        json.dumps({"w": 64, "h": 48, "fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24, "frames": poses})
-    )
+    content = {"w": 64, "h": 48, "fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24, "frames": poses}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
     for out, film in (("made", "made/video.mp4"), ("new/a.mp4", "new/a.mp4")):
         command.main([str(tmp_path / "scene.ply"), "--out", str(tmp_path / out), "video.frames=2", "video.height=48"])
         told = capsys.readouterr()

@@ -87,19 +87,10 @@ def test_arguments_that_make_no_sense_are_a_line(args, message):
 def test_a_recorded_request_names_files_without_their_folders_and_leaves_texts(tmp_path):
     (tmp_path / "masks").mkdir()
     args = [f"{tmp_path}/photos/", "--text", "/imagine a castle/tower", "--image", "/x/a.jpg"]
-    named = recorded(
-        request([*args, "--mask", f"{tmp_path}/masks", "--photo-masks", f"{tmp_path}/masks", "poses_from=/p/q"])
-    )
-    assert named == [
-        "photos",
-        *args[1:3],
-        "--image",
-        "a.jpg",
-        "--mask",
-        "masks,soft=0.01",
-        "views.masks='masks'",
-        "poses_from=q",
-    ]
+    words = ["--mask", f"{tmp_path}/masks", "--photo-masks", f"{tmp_path}/masks", "poses_from=/p/q"]
+    flags = ["--image", "a.jpg", "--mask", "masks,soft=0.01"]
+    named = recorded(request([*args, *words]))
+    assert named == ["photos", *args[1:3], *flags, "views.masks='masks'", "poses_from=q"]
 
 
 def test_what_the_inputs_are_is_decided_once(tmp_path):

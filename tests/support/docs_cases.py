@@ -5,12 +5,8 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGES = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").glob("*.md")),
-    *sorted(ROOT.glob("plugins/*/*.md")),
-]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES += [page for folder in ("docs", "plugins/*") for page in sorted(ROOT.glob(f"{folder}/*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SHELLS = ("console", "bash", "sh")
 _INLINE = re.compile(r"`((?:anystyle|torchrun|srun|make|python|pip|git|(?:[A-Z_]+=[^\s`]+ )+\w+)\s[^`]+)`")

@@ -81,12 +81,8 @@ def write_results(
                 picture(root / method / f"scene{scene}" / f"style{style}.png", (sizes or {}).get(method, (48, 36)))
     for style in range(styles):
         picture(root / "styles" / f"style{style}.png", (30, 50), 0)
-    return Sources(
-        methods={method: root / method for method in methods},
-        ours=methods[0],
-        styles=root / "styles",
-        contents=root / "contents",
-    )
+    folders = {method: root / method for method in methods}
+    return Sources(methods=folders, ours=methods[0], styles=root / "styles", contents=root / "contents")
 
 
 AB = ("A is much better", "A is better", "No difference", "B is better", "B is much better")

@@ -48,11 +48,8 @@ def test_a_search_finds_the_least_objective_past_jobs_that_fail_stop_early_or_ar
 
 
 def test_a_search_may_have_several_objectives(searched):
-    found, _ = searched(
-        "training.learning_rate=interval(0.21,0.4)",
-        "objective=[train/loss,val/psnr]",
-        "hydra.sweeper.direction=[minimize,maximize]",
-    )
+    words = "objective=[train/loss,val/psnr]", "hydra.sweeper.direction=[minimize,maximize]"
+    found, _ = searched("training.learning_rate=interval(0.21,0.4)", *words)
     assert all(one["values"][1] == one["params"]["training.learning_rate"] for one in found["solutions"])
 
 

@@ -32,13 +32,8 @@ def test_early_stopping_ends_a_run_for_good_and_more_patience_goes_on(tmp_path, 
 
 def test_the_best_weights_are_those_that_were_validated_also_after_a_sudden_end(tmp_path, monkeypatch):
     values, whole = iter([0.5, 0.3, 0.4, 0.3, 0.4]), StylizationTraining.training_step
-    words = (
-        *STYLIZATION,
-        *VALIDATED,
-        "average=0.9",
-        "checkpoint.best=val/loss",
-        "+callbacks.early_stopping.monitor=val/loss",
-    )
+    watched = ("checkpoint.best=val/loss", "+callbacks.early_stopping.monitor=val/loss")
+    words = (*STYLIZATION, *VALIDATED, "average=0.9", *watched)
     seen = {}
 
     def validation_step(self, batch, step):

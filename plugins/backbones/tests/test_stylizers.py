@@ -166,15 +166,8 @@ def test_photographs_and_a_painting_to_a_scene(
     for number in range(2):
         to_pil(smooth_image(number, (3, 70, 100))).save(tmp_path / "photos" / f"{number}.png")
     to_pil(smooth_image(7, (3, 70, 84))).save(tmp_path / "a.png")
-    options = [
-        f"model={name}",
-        *small(name, tmp_path),
-        "weights.backbone=null",
-        "poses=predicted",
-        "video.frames=2",
-        "video.scale=0.5",
-    ]
-    words = [str(tmp_path / "photos"), *options]
+    words = [str(tmp_path / "photos"), f"model={name}", *small(name, tmp_path), "weights.backbone=null"]
+    words += ["poses=predicted", "video.frames=2", "video.scale=0.5"]
     with caplog.at_level(logging.INFO):
         stylize.main([*words, "--image", str(tmp_path / "a.png"), "--out", str(tmp_path / "out")])
     assert len(PlyData.read(tmp_path / "out" / "scene.ply")["vertex"]) > 1000

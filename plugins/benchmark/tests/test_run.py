@@ -159,9 +159,8 @@ def test_a_folder_of_images_is_a_method(world):
 def test_what_a_failed_program_printed_is_kept_until_it_succeeds(world, capsys):
     log = world / "results" / "copier" / "0" / "one" / "log.txt"
     ran(world, method(world, "print('loading'); raise ValueError('no such weights')"), "scenes=one")
-    assert log.read_text().startswith("loading\nTraceback") and log.read_text().endswith(
-        "ValueError: no such weights\n"
-    )
+    text = log.read_text()
+    assert text.startswith("loading\nTraceback") and text.endswith("ValueError: no such weights\n")
     assert f"output in {log}" in capsys.readouterr().err
     ran(world, method(world, PROGRAM), "scenes=one")
     assert not log.exists()

@@ -26,9 +26,7 @@ def free_space(cameras: Cameras, depth: torch.Tensor, views: range) -> FreeSpace
 
 def points_at(cameras: Cameras, depth: torch.Tensor, view: int, fraction: float) -> torch.Tensor:
     """Points on the rays of a view's middle pixels, at a fraction of their depths."""
-    rows, columns = (
-        grid.flatten() for grid in torch.meshgrid(torch.arange(16, 24), torch.arange(20, 28), indexing="ij")
-    )
+    rows, columns = torch.cartesian_prod(torch.arange(16, 24), torch.arange(20, 28)).unbind(1)
     at = torch.stack([columns + 0.5, rows + 0.5, torch.ones(64)], dim=1) @ cameras.intrinsics[0, view].inverse().T
     local = fraction * depth[view, rows, columns, None] * at
     return local @ cameras.world_from_camera[0, view, :3, :3].T + cameras.world_from_camera[0, view, :3, 3]

@@ -215,9 +215,8 @@ def test_antialiasing_of_the_training_is_carried(tmp_path, caplog, first, marked
     assert (gzip.decompress((tmp_path / "again.spz").read_bytes())[14] == 1) == marked
     with zipfile.ZipFile(tmp_path / "again.sog") as archive:
         meta = json.loads(archive.read("meta.json"))
-    assert meta["antialias"] == marked == (meta.get("model") == "antialiased") and meta["asset"]["extras"]["notes"] == [
-        "mine"
-    ]
+    assert meta["antialias"] == marked == (meta.get("model") == "antialiased")
+    assert meta["asset"]["extras"]["notes"] == ["mine"]
     assert read_saved(tmp_path / "again.ply", SplatOptions(antialiased=not marked)).antialiased != marked
     (tmp_path / "config.yml").write_text("pipeline: !!python/object:some.Model\n  rasterize_mode: antialiased\n")
     assert read_saved(tmp_path / "again.splat").antialiased

@@ -130,11 +130,8 @@ def test_met3r_warps_features_as_scipy_does():
         rays = np.einsum("ij,jhw->ihw", np.linalg.inv(matrices[first]), pixels)
         points = rays * depth[first].double().numpy()[rows, columns]
         motion = np.linalg.inv(poses[second]) @ poses[first]
-        x, y, z = np.einsum(
-            "ij,jhw->ihw",
-            matrices[second],
-            np.einsum("ij,jhw->ihw", motion[:3, :3], points) + motion[:3, 3, None, None],
-        )
+        local = np.einsum("ij,jhw->ihw", motion[:3, :3], points) + motion[:3, 3, None, None]
+        x, y, z = np.einsum("ij,jhw->ihw", matrices[second], local)
         one, other = sampled(maps[first], pixels[0], pixels[1]), sampled(maps[second], x / z, y / z)
         cosines = (one * other).sum(0) / np.linalg.norm(one, axis=0) / np.linalg.norm(other, axis=0)
         views = [frames.map(lambda tensor, view=view: tensor[view : view + 1]) for view in (first, second)]

@@ -116,9 +116,8 @@ def test_a_verdict_follows_the_p_value(tmp_path):
     """Four people of one mind have p = 0.125, and no interval."""
     judged(tmp_path, np.full((4, 3), -1), AnalysisOptions())
     found = analyze(read_responses([tmp_path / "r.csv"]), {"sign_flip": SignFlip()}, AnalysisOptions())
-    assert verdict(found, found.questions[0]).startswith(
-        "No preference is shown for new participants, these sets (p = 0.125"
-    )
+    told = verdict(found, found.questions[0])
+    assert told.startswith("No preference is shown for new participants, these sets (p = 0.125")
 
 
 @pytest.mark.parametrize(

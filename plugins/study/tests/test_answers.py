@@ -268,8 +268,7 @@ def wide_of(rows, heading):
     cells = {row[:3]: row[3:] for row in rows}
     columns = [(item, question) for item in items for question in questions]
     table = [["Timestamp", "Participant", *(heading(*column) for column in columns)]]
-    for person in people:
-        table.append(["2026/11/25 1:00", person, *(str(cells[person, *column][0]) for column in columns)])
+    table += [["2026/11/25 1:00", one, *(str(cells[one, *column][0]) for column in columns)] for one in people]
     return table, columns, cells
 
 
@@ -331,11 +330,8 @@ def test_ratings_of_ours_alone_are_told(tmp_path):
 
 
 def test_nothing_left_is_said(tmp_path):
-    path = write_csv(
-        tmp_path / "r.csv",
-        [("P1", "S1", "style", 3, "A", ""), ("P1", "check", "style", 1, "", 5)],
-        "participant,item,question,score,ours_is,expected",
-    )
+    rows = [("P1", "S1", "style", 3, "A", ""), ("P1", "check", "style", 1, "", 5)]
+    path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,expected")
     with pytest.raises(ValueError, match=r"no answers are left of 2: 1 participant\(s\) with more than 0 attention"):
         judged(path)
 

@@ -43,9 +43,8 @@ def test_people_who_are_numbered_anew_in_each_file_are_not_one(sessions):
     assert "1, 2, 3 and 3 others" in told and "27 of the 36" in told and "session1.csv and session2.csv" in told
     assert "--sessions" in told and "\n" not in told
     records = read_responses(sessions, sessions=True)
-    assert {answer.participant for answer in records.answers} == {
-        f"{n}-session{s}" for n in range(1, 7) for s in (1, 2)
-    }
+    people = {answer.participant for answer in records.answers}
+    assert people == {f"{n}-session{s}" for n in range(1, 7) for s in (1, 2)}
     found = analyze(records, {"crossed_t": CrossedT()}, AnalysisOptions())
     assert found.checks.answers_used == 72 and found.questions[0].responses.deviations.mean() == 0
     assert "No preference" in verdict(found, found.questions[0])
@@ -139,13 +138,7 @@ def test_names_that_are_only_alike_are_not_spellings(tmp_path):
 
 
 TEXTS = ("Start Date", "Response Type", "What is your Prolific ID?", "Which is closer to the style?", "ours_is")
-IDS = (
-    '{"ImportId":"startDate"}',
-    '{"ImportId":"status"}',
-    '{"ImportId":"PID"}',
-    '{"ImportId":"QID1"}',
-    '{"ImportId":"x"}',
-)
+IDS = tuple(f'{{"ImportId":"{name}"}}' for name in ("startDate", "status", "PID", "QID1", "x"))
 
 
 @pytest.mark.parametrize("header", [(TEXTS, IDS), ()])

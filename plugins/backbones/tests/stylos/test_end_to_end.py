@@ -202,10 +202,8 @@ def test_colours(case: str, variant: str) -> None:
 def test_the_demos_network() -> None:
     record = stylos_reference.record()["tiny"]["demo_quick_inference"]
     assert len(stylos_reference.tiny_shapes("demo")) == record["n_keys"]
-    network, case = (
-        tiny("demo"),
-        stylos_reference.record()["tiny"][record["case"]] | {"voxel_size": record["voxel_size"]},
-    )
+    network = tiny("demo")
+    case = stylos_reference.record()["tiny"][record["case"]] | {"voxel_size": record["voxel_size"]}
     scene = network.encoded(record["case"], case)
     check_geometry(scene, record)
     style = network.embed(oracle.image(case["inputs"]["style_image"])[:, 0])
