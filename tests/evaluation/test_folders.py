@@ -171,10 +171,8 @@ def test_names_that_are_not_known_are_told_with_those_that_are(tmp_path):
     content, style, stylized = folders(tmp_path)
     stylized.rename(tmp_path / "old")
     picture(stylized / "one" / "xa" / "0.png", 0)
-    with pytest.raises(
-        UserError,
-        match=r"give the --layout of names such as 'one/xa/0', where there is scene 'one', style 'a', frame '000'$",
-    ):
+    told = "give the --layout of names such as 'one/xa/0', where there is scene 'one', style 'a', frame '000'$"
+    with pytest.raises(UserError, match=told):
         pair(content, style, stylized)
 
 

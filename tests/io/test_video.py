@@ -35,12 +35,9 @@ def phone(path, steps, *, rotation=0, trc=None):
     ``steps[n]`` of 600 to a second.
     """
     with av.open(str(path), "w", format="mov", options={"movflags": "use_metadata_tags"}) as container:
-        for name, text in {
-            "make": "Apple",
-            "model": "iPhone 15 Pro",
-            "camera.lens_model": "iPhone 15 Pro back camera 6.86mm f/1.78",
-            "camera.focal_length.35mm_equivalent": "26",
-        }.items():
+        texts = {"make": "Apple", "model": "iPhone 15 Pro", "camera.focal_length.35mm_equivalent": "26"}
+        texts |= {"camera.lens_model": "iPhone 15 Pro back camera 6.86mm f/1.78"}
+        for name, text in texts.items():
             container.metadata[f"com.apple.quicktime.{name}"] = text
         params = "log-level=none" + (f":transfer={trc}" if trc else "")
         stream = container.add_stream("libx265", rate=30, options={"x265-params": params, "crf": "10"})

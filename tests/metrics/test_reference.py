@@ -119,9 +119,8 @@ def test_structural_distance_where_the_softmax_is_not_flat(tmp_path, monkeypatch
 def test_warp_of_a_given_flow():
     frames = nine_frames()
     network = lpips.load("vgg", "published")
-    for record, index, reach, factor in zip(
-        golden("golden_metrics")["consistency"]["flow_given"], (4450, 4451), (3, 12), (3, 6), strict=True
-    ):
+    records = golden("golden_metrics")["consistency"]["flow_given"]
+    for record, index, reach, factor in zip(records, (4450, 4451), (3, 12), (3, 6), strict=True):
         noise = hashed(index, (1, 2, 128, 160), -reach, reach)
         padded = torch.nn.functional.pad(noise, (4, 4, 4, 4), mode="replicate")
         flow = factor * torch.nn.functional.avg_pool2d(padded, 9, stride=1)

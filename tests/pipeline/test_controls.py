@@ -165,15 +165,8 @@ def test_words_become_masks(tmp_path):
     assert parsed("sphere:1,2,3,0.5,soft=0.1") == Sphere((1.0, 2.0, 3.0), 0.5, 0.1)
     assert parsed("box:0,0,0,1,2,3") == Box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
     assert parsed(f"{tmp_path},soft=0") == MaskFolder(tmp_path, 0.0)
-    for word in (
-        "nowhere",
-        "sphere:1,2,3",
-        "sphere:1,2,3,-1",
-        "box:1,2,3,0,0,0",
-        "sphere:a,b,c,d",
-        "ball:1",
-        "box:0,0,0,1,1,1,soft=x",
-    ):
+    boxes = ("box:1,2,3,0,0,0", "box:0,0,0,1,1,1,soft=x")
+    for word in ("nowhere", "sphere:1,2,3", "sphere:1,2,3,-1", "sphere:a,b,c,d", "ball:1", *boxes):
         with pytest.raises(ValueError, match="mask"):
             parsed(word)
 

@@ -22,10 +22,8 @@ def make(folder: Path) -> None:
     for number in range(3):
         for scene in ("photos", "SCENES/Train", "PHOTOS/Train", "scenes/one", "scenes/two"):
             _picture(folder / scene / f"{number:03d}.jpg", seed=0, shift=number)
-    for seed, name in enumerate(
-        ("painting", "a", "b", "sea", "sky", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1", "PAINTINGS/s0"),
-        start=1,
-    ):
+    names = ["painting", "a", "b", "sea", "sky", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1", "PAINTINGS/s0"]
+    for seed, name in enumerate(names, start=1):
         _picture(folder / f"{name}.jpg", seed=seed)
     for number in range(3):
         _mask(folder / "sky_masks" / f"{number:03d}.png")

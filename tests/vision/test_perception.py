@@ -100,10 +100,8 @@ def test_old_torch_files_are_read(tmp_path: Path) -> None:
 
 
 def test_refusals_name_what_is_wrong(tmp_path: Path) -> None:
-    with pytest.raises(
-        ValueError,
-        match="no perceptual network 'vgg11'; choose from vgg19, vgg16, alexnet, efficientnet_lite0, texture",
-    ):
+    told = "no perceptual network 'vgg11'; choose from vgg19, vgg16, alexnet, efficientnet_lite0, texture"
+    with pytest.raises(ValueError, match=told):
         networks.load("vgg11")
     state = VGG19().state_dict()
     state["features.2.weight"] = torch.zeros(64, 64, 1, 1)

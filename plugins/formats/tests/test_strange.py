@@ -39,16 +39,10 @@ def test_a_strange_file(name, tmp_path, caplog):
         scene = reader.read(path)
     assert [line.removeprefix(f"{path}: ") for line in caplog.messages] == list(case.lines)
     assert scene.offset == case.held.offset
-    means, rotations, scales, opacities, harmonics = (
-        tensor[0].double().numpy() for tensor in vars(scene.styles[-1][1]).values()
-    )
-    for found, held in (
-        (means, case.held.means),
-        (scales, case.held.scales),
-        (opacities, case.held.opacities),
-        (harmonics, case.held.harmonics),
-    ):
-        np.testing.assert_allclose(found, held, rtol=3e-6, atol=3e-6)
+    found = {name: tensor[0].double().numpy() for name, tensor in vars(scene.styles[-1][1]).items()}
+    rotations = found.pop("rotations")
+    for name, values in found.items():
+        np.testing.assert_allclose(values, getattr(case.held, name), rtol=3e-6, atol=3e-6)
     assert rotations.shape == case.held.rotations.shape
     assert np.abs((unit(rotations) * unit(case.held.rotations)).sum(1)).min() > 1 - 1e-6
 

@@ -145,12 +145,10 @@ def test_published_scores_are_sourced():
 
 
 def test_files_of_published_scores_that_cannot_be_read(tmp_path):
-    path = tmp_path / "mine.json"
+    path, told = tmp_path / "mine.json", r"mine\.json is not a valid file of published scores.* as in published\.json"
     for text in ("[]", "{", '{"sources": {}, "rows": [{"method": "a"}]}'):
         path.write_text(text)
-        with pytest.raises(
-            ValueError, match=r"mine\.json is not a valid file of published scores.* as in published\.json"
-        ):
+        with pytest.raises(ValueError, match=told):
             published.load([path])
 
 

@@ -316,9 +316,8 @@ def test_a_shifted_scale_is_refused_however_few_of_its_answers_are_outside(tmp_p
     outer = 1 if shift < 0 else 5
     rows = [(*row[:3], 2 + place % 3 + shift, row[4]) for place, row in enumerate(answer_rows())]
     rows[:2] = [(*row[:3], score + shift, row[4]) for row, score in zip(rows[:2], (outer, 6 - outer), strict=True)]
-    with pytest.raises(
-        ValueError, match=f"answers from {found} where the scale is 1 to 5.* --label={outer + shift}=NA"
-    ):
+    told = f"answers from {found} where the scale is 1 to 5.* --label={outer + shift}=NA"
+    with pytest.raises(ValueError, match=told):
         judged(write_csv(tmp_path / "r.csv", rows))
 
 
