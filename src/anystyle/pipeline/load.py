@@ -1,8 +1,8 @@
 """The first step: from a configuration to a model with its weights."""
 
-import contextlib
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -318,11 +318,9 @@ def build_and_load(
     return stylizer, headers
 
 
-@contextlib.contextmanager
-def _on_meta(enabled: bool) -> Iterator[None]:
+def _on_meta(enabled: bool) -> AbstractContextManager[object]:
     """Build modules on the meta device where it is enabled: without memory, and without initial values."""
-    with torch.device("meta") if enabled else contextlib.nullcontext():
-        yield
+    return torch.device("meta") if enabled else nullcontext()
 
 
 def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str, Any]) -> Header:

@@ -163,9 +163,8 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None], check
             raise UserError(f"{resumed.path} does not match this model ({one_line(error)[:300]})") from error
     metrics = checkpoint.metrics | logged(trainer)
     steps, rank_zero = trainer.global_step, trainer.is_global_zero
-    if steps < trainer.max_steps and not any(
-        isinstance(each, EarlyStop) and each.ended for each in trainer.early_stopping_callbacks
-    ):
+    stops = (each for each in trainer.early_stopping_callbacks if isinstance(each, EarlyStop))
+    if steps < trainer.max_steps and not any(each.ended for each in stops):
         return Outcome(steps, False, metrics, (), rank_zero, checkpoint.stopped_by)
     if average:
         average.swap(training)
