@@ -12,6 +12,7 @@ from anystyle.data.images import SUFFIXES, is_hdr
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
 from anystyle.types import SourceImage
+from tests.support.refusals import raises_line
 
 
 def save(path, width=64, height=48, shade=100):
@@ -176,9 +177,8 @@ def test_bad_inputs_end_in_one_line(tmp_path):
         "VID_00.insv": "save films as .mp4, and those of 360° cameras cut into views",
     }
     for name, words in (told | {"bad.png": "no photograph can be read", "bad.mp4": "is not a video"}).items():
-        with pytest.raises(ValueError, match=words) as caught:
+        with raises_line(ValueError, match=words):
             read(tmp_path / name)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -204,9 +204,8 @@ def test_a_truncated_video_is_refused(tmp_path, name, options, words):
     assert len(read_frames(path, 4)) == 4
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 7 // 10])
-    with pytest.raises(ValueError, match=words) as caught:
+    with raises_line(ValueError, match=words):
         read_frames(path, 4)
-    assert "\n" not in str(caught.value)
 
 
 def test_photographs_of_which_little_is_shown_are_named(tmp_path, caplog):
