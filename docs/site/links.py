@@ -15,6 +15,6 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
         file = (Path(page.file.abs_src_path).parent / match[2]).resolve()
         if not file.exists():
             return match[0]  # which the strict build refuses
-        return f"{match[1]} (`{file.relative_to(ROOT).as_posix()}`)"
+        return f"{match[1]}, `{file.relative_to(ROOT).as_posix()}`"
 
     return _LINK.sub(outside, markdown)
