@@ -36,7 +36,7 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
     reference = (tmp_path / "site" / "reference" / "contracts" / "index.html").read_text()
     assert "anystyle.contracts.backbone.Backbone.encode" in reference
     # What lies outside of the pages is named by its path.
-    assert "01_stylize (<code>notebooks/01_stylize.ipynb</code>)" in first
+    assert "01_stylize, <code>notebooks/01_stylize.ipynb</code>" in first
     assert not (tmp_path / "site" / "site").exists()
 
 
