@@ -10,7 +10,6 @@ from torch.autograd.function import once_differentiable
 
 from anystyle.contracts import LinearView
 from anystyle.geometry.harmonics import degree_of, normalisation
-from anystyle.io.cache import LRUCache
 from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single, composite
 from anystyle.types import Cameras, Gaussians, Renders
 from anystyle_cpu_renderer import raster, stages
@@ -110,7 +109,8 @@ class _Splatting(torch.autograd.Function):
         keep = size[0] * size[1] == 1 and any(ctx.needs_input_grad)
         ctx.kept = []
         with stages.workers() as run:
-            for b, scene in enumerate(_shaped(scenes, tensors, run)):
+            scenes = _shaped(scenes, tensors, run)
+            for b, scene in enumerate(scenes):
                 for v, view in enumerate(views[b]):
                     splats = stages.project(scene, view, settings.height, run, keep=keep)
                     cap, image = np.float32(settings.alpha_cap), images[b, v].numpy()
@@ -118,7 +118,7 @@ class _Splatting(torch.autograd.Function):
                     if keep:
                         ctx.kept.append((splats, tiles))
         ctx.save_for_backward(*tensors, images)
-        ctx.last, ctx.settings = last, settings
+        ctx.last, ctx.settings, ctx.shapes = last, settings, [scene.shapes for scene in scenes]
         return images
 
     @staticmethod
@@ -133,7 +133,8 @@ class _Splatting(torch.autograd.Function):
         shaped = posed or any(ctx.needs_input_grad[:4])
         sums = [torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors]
         with stages.workers() as run:
-            for b, scene in enumerate(_shaped(scenes, tensors, run)):
+            for b, scene in enumerate(scenes):
+                scene = scene._replace(shapes=ctx.shapes[b])
                 into = SceneArrays._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
                 for v, view in enumerate(views[b]):
                     if ctx.kept:
@@ -164,24 +165,20 @@ def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[SceneArrays]
     return scenes, [[CameraArrays(camera, limits, tables) for camera in row] for row in cameras]
 
 
-_SHAPES: LRUCache[tuple[object, ...], tuple[list[Tensor], list[np.ndarray]]] = LRUCache(1)
-"""The covariances of the last scenes, with their tensors, so that no others lie where these do."""
+_SHAPES: list[tuple[Tensor, Tensor, list[np.ndarray]]] = []
+"""Copies of the last rotations and scales, and their covariances: not every write to a tensor raises its version."""
 
 
 def _shaped(scenes: list[SceneArrays], tensors: list[Tensor], run: stages.Mapper) -> list[SceneArrays]:
-    """The scenes with their covariances, which all views of the same Gaussians share, as do its two passes."""
+    """The scenes with their covariances, which all views of the same Gaussians share."""
     rotations, scales = (tensor.detach() for tensor in tensors[1:3])
-
-    def compute() -> tuple[list[Tensor], list[np.ndarray]]:
-        for scene in scenes:
-            stages.shape(scene, run)
-        return [rotations, scales], [scene.shapes for scene in scenes]
-
-    if rotations.is_inference() or scales.is_inference():  # whether they have changed is not known
-        compute()
-        return scenes
-    key = tuple((tensor.data_ptr(), tensor.shape, tensor.stride(), tensor._version) for tensor in (rotations, scales))
-    return [scene._replace(shapes=kept) for scene, kept in zip(scenes, _SHAPES.get(key, compute)[1], strict=True)]
+    for *copies, shapes in _SHAPES:
+        if torch.equal(copies[0], rotations) and torch.equal(copies[1], scales):
+            return [scene._replace(shapes=kept) for scene, kept in zip(scenes, shapes, strict=True)]
+    for scene in scenes:
+        stages.shape(scene, run)
+    _SHAPES[:] = [(rotations.clone(), scales.clone(), [scene.shapes for scene in scenes])]
+    return scenes
 
 
 def _tables(degree: int) -> np.ndarray:

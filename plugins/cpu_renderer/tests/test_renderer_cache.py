@@ -1,6 +1,8 @@
 """What the renderer keeps between renders changes nothing."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -10,10 +12,12 @@ from anystyle_cpu_renderer.renderer import CpuRenderer
 
 
 @pytest.mark.parametrize("changed", ["rotations", "scales"])
-def test_shapes_changed_in_place_are_seen(changed: str) -> None:
+@pytest.mark.parametrize("by", [torch.Tensor.numpy, lambda tensor: tensor], ids=["numpy", "torch"])
+def test_shapes_changed_in_place_are_seen(changed: str, by: Callable[[torch.Tensor], Any]) -> None:
     scene, seen, renderer = gaussians(1, 50), cameras(1, 1, (40, 40)), CpuRenderer()
     before = renderer(scene, seen).color
-    getattr(scene, changed)[:, ::2] *= torch.tensor([0.5, 2.0, 0.3, 1.5])[: getattr(scene, changed).shape[-1]]
+    tensor = getattr(scene, changed)
+    by(tensor)[:, ::2] *= by(torch.tensor([0.5, 2.0, 0.3, 1.5])[: tensor.shape[-1]])
     after = renderer(scene, seen).color
     fresh = renderer(scene.map(torch.clone), seen).color
     assert not torch.equal(before, after) and torch.equal(after, fresh)
