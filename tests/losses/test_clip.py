@@ -165,7 +165,7 @@ def test_patch_is_its_equation() -> None:
 
 
 def test_crops_are_independent_unless_shared() -> None:
-    encoder = Projection()
+    encoder = Projection().requires_grad_(False)
     # One view four times: what differs between them is the crops alone.
     rendered, photographs = RENDERED[:1, :1].expand(1, 4, -1, -1, -1), PHOTOGRAPHS[:1, :1].expand(1, 4, -1, -1, -1)
     seen: list[Tensor] = []

@@ -1,4 +1,4 @@
-"""What several processes compute for their rows is what one computes for all."""
+"""What several processes compute for their rows is what one computes for all, in whatever mode."""
 
 from dataclasses import replace
 
@@ -31,3 +31,15 @@ def test_the_mean_of_two_processes_is_the_loss_of_one(name, monkeypatch):
         with seeded(0):
             values.append(loss(row(result, rank)))
     torch.testing.assert_close(torch.stack(values).mean(), whole, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", catalog().names("loss"))
+def test_a_loss_may_be_looked_at_in_inference_mode_before_and_between_steps(name):
+    tested = subject("loss", catalog().find("loss", name).load())
+    loss, result = tested.build(style_encoder=style_encoder()), stylization(1, 2)
+    with torch.inference_mode(), seeded(0):
+        looked = loss(result)
+    with seeded(0):
+        value = loss(result)
+    value.backward()
+    torch.testing.assert_close(looked, value)

@@ -164,6 +164,17 @@ def test_gradients_stand_for_mixtures_and_serve_every_style():
     assert torch.equal(other.harmonics, fit_colors(moved, views, pictures[1], fresh, **how).harmonics)
 
 
+def test_gaussians_that_a_fused_optimiser_moved_are_seen():
+    scene, views = small_scene()
+    leaves, pictures = scene.map(lambda tensor: tensor.clone().requires_grad_()), torch.rand(4, 3, 24, 32)
+    before = fit_colors(leaves, views, pictures, RENDERER)
+    leaves.scales.sum().backward()
+    torch.optim.Adam([leaves.scales], lr=0.01, fused=True).step()
+    after = fit_colors(leaves, views, pictures, RENDERER)
+    assert torch.equal(after.harmonics, fit_colors(leaves.map(torch.clone), views, pictures, RENDERER).harmonics)
+    assert not torch.equal(after.harmonics, before.harmonics)
+
+
 def test_a_further_style_reads_the_cameras_back_once(monkeypatch):
     """And whether anything is shown; on a card each such read waits, and there are views times steps of products."""
     scene, views = small_scene()

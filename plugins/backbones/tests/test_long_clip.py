@@ -12,6 +12,7 @@ from torch import Tensor
 from anystyle.contracts import neutral_embedding
 from anystyle.testing.oracle import assert_matches, hashed, smooth_image
 from anystyle.vision import weights
+from anystyle.vision.feature_cache import identity
 from anystyle_backbones import bpe
 from anystyle_backbones.clip import STRETCHED, Clip, load_clip
 from anystyle_backbones.long_clip import LongClip, TextAdapter, small_templates
@@ -168,8 +169,19 @@ def test_the_neutral_prompt_is_embedded_once(tmp_path: Path) -> None:
     assert len(calls) == count and second.norm() == pytest.approx(1, abs=1e-5)
     with torch.no_grad():
         encoder.network.text_projection.mul_(torch.linspace(-1, 1, encoder.dim))
-    assert not torch.allclose(neutral_embedding(encoder), second)
-    assert len(calls) > count
+    assert not torch.allclose(neutral_embedding(encoder), second) and len(calls) > count
+
+
+@pytest.mark.parametrize("fused", [False, True])
+def test_what_is_kept_for_weights_is_not_for_those_that_learn(tmp_path: Path, fused: bool) -> None:
+    encoder = example(tmp_path).requires_grad_()
+    before, known = neutral_embedding(encoder), identity(encoder)
+    encoder.embed_texts(["red"]).square().sum().backward()
+    torch.optim.AdamW([p for p in encoder.parameters() if p.grad is not None], lr=0.1, fused=fused).step()
+    after = neutral_embedding(encoder)
+    with torch.no_grad():
+        assert torch.equal(after, encoder.embed_texts([encoder.neutral])) and not torch.equal(after, before)
+    assert identity(encoder) != known
 
 
 def test_an_encoder_made_in_inference_mode_has_a_neutral_embedding(tmp_path: Path) -> None:

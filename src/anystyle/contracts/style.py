@@ -156,12 +156,12 @@ _neutral: WeakKeyDictionary[StyleEncoder, tuple[list[object], Tensor]] = WeakKey
 
 @torch.no_grad()
 def neutral_embedding(encoder: StyleEncoder) -> Float[Tensor, "1 D"]:
-    """The embedding of the encoder's neutral prompt, where style directions start; computed once for its weights."""
+    """The embedding of the encoder's neutral prompt, where style directions start; computed once for frozen weights."""
     weights = [*encoder.parameters(), *encoder.buffers()]
     # Tensors made in inference mode have no count of changes: they cannot change.
     state: list[object] = [encoder.neutral]
     state += [(w.data_ptr(), 0 if w.is_inference() else w._version, w.device, w.dtype) for w in weights]
     kept = _neutral.get(encoder)
-    if kept is None or kept[0] != state:
+    if kept is None or kept[0] != state or any(w.requires_grad for w in weights):
         kept = _neutral[encoder] = state, encoder.embed_texts([encoder.neutral])
     return kept[1].clone()

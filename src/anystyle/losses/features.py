@@ -19,7 +19,7 @@ from anystyle.errors import UserError
 from anystyle.types import Renders, Source, Stylization
 from anystyle.vision import networks
 from anystyle.vision.eager_backward import eager_backward
-from anystyle.vision.feature_cache import identity
+from anystyle.vision.feature_cache import digests, identity
 
 
 def style_images(result: Stylization) -> tuple[Float[Tensor, "B 3 h w"], Bool[Tensor, " B"]] | None:
@@ -67,7 +67,7 @@ def resized(images: Float[Tensor, "M 3 H W"], side: int | None, mode: str, *, an
     return F.interpolate(images, size=(side, side), mode=mode, align_corners=False, antialias=antialias)
 
 
-_KEPT: MutableMapping[Tensor, dict[tuple[object, ...], list[Tensor]]] = WeakIdKeyDictionary()
+_KEPT: MutableMapping[Tensor, tuple[object, dict[tuple[object, ...], list[Tensor]]]] = WeakIdKeyDictionary()
 
 
 @torch.no_grad()
@@ -76,11 +76,17 @@ def features_to_compare(
 ) -> list[Tensor]:
     """What ``compute`` gives for images ``M 3 H W``, kept as long as they are: a scene has the same in all its steps.
 
-    The ``key`` is everything else that the result depends on: network, layers, size.
+    The ``key`` is everything else that the result depends on: network, layers, size. Whether images have changed is
+    known by their values on a CPU, and elsewhere, where these would be waited for, by PyTorch's count of writes.
     """
-    kept, key = _KEPT.setdefault(images, {}), (*key, images._version)
+    rows = images.flatten(0, -4)
+    values = digests(rows) if images.device.type == "cpu" else 0 if images.is_inference() else images._version
+    state = torch.is_inference_mode_enabled(), values
+    if images not in _KEPT or _KEPT[images][0] != state:
+        _KEPT[images] = state, {}
+    kept = _KEPT[images][1]
     if key not in kept:
-        kept[key] = [features.detach() for features in compute(images.flatten(0, -4))]
+        kept[key] = [features.detach() for features in compute(rows)]
     return kept[key]
 
 

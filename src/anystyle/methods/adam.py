@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from jaxtyping import Int
 from torch import Tensor
+from torch.autograd.graph import increment_version
 from torch.optim.adam import adam
 
 fused_adam = partial(adam, max_exp_avg_sqs=[], fused=True, amsgrad=False, weight_decay=0.0, maximize=False)
@@ -37,6 +38,7 @@ class Adam:
                 tensors, (beta1, beta2) = (value, value.grad, *self.moments[name]), self.betas
                 rates = {"lr": self.rates[name], "beta1": beta1, "beta2": beta2, "eps": self.eps}
                 fused_adam(*([tensor] for tensor in tensors), state_steps=[self.steps[name]], **rates)
+                increment_version(value)  # which the kernel does not do
                 value.grad = None
 
     @torch.no_grad()

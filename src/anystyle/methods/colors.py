@@ -143,7 +143,7 @@ def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) ->
 
 def first_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Renders:
     """The render of a view whose colours will be solved for: the linear view is made at once, and kept if it fits."""
-    return _System(gaussians.detach(), camera.detach(), renderer).linear(0).render
+    return _System(_frozen(gaussians), camera.detach(), renderer).linear(0).render
 
 
 def kept_render(gaussians: Gaussians, camera: Cameras, renderer: Renderer) -> Float[Tensor, "3 H W"] | None:
@@ -319,8 +319,16 @@ _VIEWS: LRUCache[tuple[object, ...], tuple[Gaussians, Renderer, dict[bytes, Line
 """Those of the last scene by their camera."""
 
 
+def _frozen(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians without gradients. Of those that learn nothing is kept: fused optimisers raise no version."""
+    if any(tensor.requires_grad for tensor in vars(gaussians).values()):
+        for cache in (_SYSTEMS, _COVERS, _VIEWS):
+            cache.clear()
+    return gaussians.detach()
+
+
 def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _System:
-    system = _System(gaussians.detach(), cameras.detach(), renderer)
+    system = _System(_frozen(gaussians), cameras.detach(), renderer)
     return _SYSTEMS.get(_identity(system), lambda: system)
 
 

@@ -82,8 +82,12 @@ _NEXT = count()
 
 
 def identity(network: nn.Module) -> str:
-    """The same for the same module with the same weights, in this process."""
-    if network not in _NUMBERS:
+    """The same for the same module with the same weights, in this process; weights that learn never are the same.
+
+    Fused optimisers do not raise PyTorch's count of writes to a tensor.
+    """
+    weights = [*network.parameters(), *network.buffers()]
+    if network not in _NUMBERS or any(tensor.requires_grad for tensor in weights):
         _NUMBERS[network] = next(_NEXT)
-    versions = [tensor._version for tensor in (*network.parameters(), *network.buffers()) if not tensor.is_inference()]
+    versions = [tensor._version for tensor in weights if not tensor.is_inference()]
     return f"{_NUMBERS[network]}:{sum(versions)}"
