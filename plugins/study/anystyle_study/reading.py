@@ -136,8 +136,7 @@ def _is_answer(row: _Row) -> bool:
 def _answers(
     rows: Sequence[_Row], semicolons: bool, source: str, study: Study | None, labels: Mapping[str, float]
 ) -> Iterable[Answer]:
-    placed = "ours_is" in rows[0] or "method" in rows[0]
-    if not placed and study is None:
+    if study is None and "ours_is" not in rows[0] and "method" not in rows[0]:
         raise UserError(f"{source} does not say where ours was: give the design with --study, or add ours_is")
     questions = () if study is None else study.plan.questions
     by_question = {question.name: {**scale_words(question.labels, question.low), **labels} for question in questions}
@@ -153,14 +152,20 @@ def _answers(
             if not row[name]:
                 raise UserError(f"{where}: {name} is empty; expected a name")
         method = _choice(row, "method", ("ours", "theirs"), where, optional=True)
-        if placed or study is None:
-            side = _choice(row, "ours_is", ("A", "B"), where, optional=bool(method) or not math.isnan(expected))
+        unplaced = bool(method or study) or not math.isnan(expected)
+        side = _choice(row, "ours_is", ("A", "B"), where, optional=unplaced)
+        if study is None:
             about: dict[str, Any] = {name: row.get(name, "") for name in ("comparison", "scene", "style")}
             about |= {"ours_is_a": side == "A", "method": method}
         elif math.isnan(score) and not study.shows(row["item"], row["participant"]):
             continue  # in a table with a column for every set, of which each person sees some
         else:
             about = _designed(row, where, source, study)
+            design = {"ours_is": "A" if about["ours_is_a"] else "B", "method": about["method"] or method}
+            for name, said in (("ours_is", side), ("method", method)):
+                if said not in ("", design[name]):
+                    raise UserError(f"{where}: {name} is {said}, and by the design it was {design[name]}")
+            about["method"] = design["method"]
         seconds = columns["seconds"].number(row.get("seconds", ""))
         if seconds is None:
             raise UserError(f"{where}: seconds is {row['seconds'][:40]!r}; expected a number")
