@@ -1,5 +1,6 @@
 """Folders of runs: evaluations, trainings, the jobs of a multirun, and the state of each."""
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -9,10 +10,12 @@ from typing import Any, Literal
 from anystyle.contracts.protocol import Evaluation
 from anystyle.errors import UserError
 from anystyle.evaluation import record
+from anystyle.io.checkpoint import has_header, read_header
 from anystyle.io.documents import as_number, kept_json, read_yaml
 from anystyle.paths import natural
 from anystyle.registry.jobs import swept
 
+_log = logging.getLogger(__name__)
 OVERRIDES = Path(".hydra") / "overrides.yaml"
 
 RunState = Literal["finished", "unfinished", "failed", "missing"]
@@ -82,13 +85,24 @@ def _run(folder: Path) -> Run:
     stored: dict[str, Any] = kept_json(folder / record.FILE, dict[str, Any]) or {}
     numbers = {name: value for name, value in stored.items() if value is None or type(value) in (int, float)}
     logged = {} if "provenance" in stored else {name: as_number(value) for name, value in numbers.items()}
+    if (folder / "last.ckpt").is_file() and not stored:  # also where an earlier training left weights
+        return Run(folder, words, "unfinished")
     evaluation = _evaluation(folder)
-    state: RunState = "unfinished" if (folder / "last.ckpt").is_file() else "failed"
-    if evaluation or logged or any(folder.glob("*.safetensors")):
-        state = "finished"
-    return Run(folder, words, state, evaluation, logged)
+    finished = evaluation or logged or any(folder.glob("*.safetensors"))
+    return Run(folder, words, "finished" if finished else "failed", evaluation, logged)
 
 
 def _evaluation(folder: Path) -> Path | None:
     inside = sorted(path.parent for path in folder.glob(f"*/{record.FILE}"))
-    return next((path for path in (folder, folder / "evaluation", *inside) if record.read(path) is not None), None)
+    for path in dict.fromkeys((folder, folder / "evaluation", *inside)):
+        if (found := record.read(path)) is not None:
+            if path == folder or _is_of(folder, found.provenance.get("weights", {})):
+                return path
+            _log.warning("%s judged other weights than %s has now: evaluate it again", path, folder)
+    return None
+
+
+def _is_of(run: Path, judged: Mapping[str, Any]) -> bool:
+    """Whether what was judged was made as the weights of a training were."""
+    headers = [read_header(file) for file in run.glob("*.safetensors") if has_header(file)]
+    return all(judged.get(each.part, {}).get("provenance", each.provenance) == each.provenance for each in headers)

@@ -198,14 +198,14 @@ def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
         found, _ = check(read_responses([path], designed), scale=Scale(), rules=Rules())
         failed = [finding.participant for finding in found.findings if finding.kind == "failed_attention_check"]
         assert sorted(failed) == [skipped.id, rated.id, halved.id]
-    sides = {(one.id, name): "A" if name in one.ours_is_a else "B" for one in designed.participants for name in one.order}
-    kept = [(*row[:3], row[4], sides[row[:2]]) for row in rows if row[2] == "style"]
+    ours_is_a = {(one.id, name) for one in designed.participants for name in one.ours_is_a}
+    kept = [(*row[:3], row[4], "A" if row[:2] in ours_is_a else "B") for row in rows if row[2] == "style"]
     write_csv(path, kept, "participant,item,question,score,ours_is")  # which says what the design does, too
     found = check(read_responses([path], designed), scale=Scale(), rules=Rules())[0]
     assert found.attention_answers == len([row for row in kept if row[1] == degraded.id]) > 0
     assert skipped.id in {one.participant for one in found.findings if one.kind == "failed_attention_check"}
     write_csv(path, [(*kept[0][:4], "B" if kept[0][4] == "A" else "A")], "participant,item,question,score,ours_is")
-    with pytest.raises(ValueError, match="row 2: ours_is is [AB], and by the design it was [AB]"):
+    with pytest.raises(ValueError, match=r"row 2: ours_is is [AB], and by the design it was [AB]"):
         check(read_responses([path], designed), scale=Scale(), rules=Rules())
     write_csv(path, [row for row in rows if row[1] != degraded.id], "participant,item,question,side,score")
     assert not check(read_responses([path], designed), scale=Scale(), rules=Rules())[0].exclusions  # it has no checks
