@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from omegaconf import OmegaConf
 from PIL import Image
 
@@ -121,8 +122,10 @@ def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_pat
         "scenes=procedural", "scenes.size=112", "scenes.num_scenes=2", "scenes.views=2",
         "styles=procedural", "styles.size=48", "styles.split=heldout", *TOY,
     ]  # fmt: skip
+    state = torch.random.get_rng_state()
     run(*words, "--out", "out")
     found = metrics("out")
+    assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers go on
     assert math.isfinite(found["change"]) and found["provenance"]["n"] == 4
     assert set(found["provenance"]["weights"]) >= {"backbone", "style_encoder", "style_encoder/magenta_text", "branch"}
     assert all(len(row["sha256"]) == 64 for row in found["provenance"]["weights"].values())

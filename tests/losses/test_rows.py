@@ -8,7 +8,8 @@ import torch.distributed as dist
 
 from anystyle.registry.catalog import catalog
 from anystyle.testing.inputs import style_encoder, stylization
-from anystyle.testing.subject import seeded, subject
+from anystyle.testing.subject import subject
+from anystyle.types.seeds import seeded
 
 
 def row(result, index):

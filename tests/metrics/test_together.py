@@ -12,7 +12,8 @@ import torch
 from anystyle.registry.catalog import catalog
 from anystyle.testing.inputs import comparison
 from anystyle.testing.metric import build
-from anystyle.testing.subject import seeded, subject
+from anystyle.testing.subject import subject
+from anystyle.types.seeds import seeded
 from tests.support.processes import new
 
 pytestmark = pytest.mark.slow

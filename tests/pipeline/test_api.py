@@ -32,6 +32,7 @@ def stylizer():
 def test_a_result_is_the_single_pass_announced_stage_by_stage(photographs, stylizer):
     announced = []
     stages = Stages(lambda stage, progress: announced.append((stage, progress.line)))
+    state = torch.random.get_rng_state()
     (result,) = anystyle.stylize(photographs, "red dots", model=stylizer, views=VIEWS, stages=stages)
     assert [name for name, _ in announced] == ["load", "embed", "read", "encode", "restyle"] == list(stages.seconds)
     assert announced[3:] == [("encode", "3 views of 70x56"), ("restyle", "1/1: “red dots”")]
@@ -41,6 +42,7 @@ def test_a_result_is_the_single_pass_announced_stage_by_stage(photographs, styli
     for name in ("means", "rotations", "scales", "opacities", "harmonics"):
         assert torch.equal(getattr(result.gaussians, name), getattr(expected, name)), name
     assert list(result.encoded.sources) == sources
+    assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers go on
     rendered = torch.stack(list(result.render()))
     torch.testing.assert_close(rendered, stylizer.render(expected, result.cameras).color[0])
     assert [image.shape for image in result.render(result.cameras.select([1]))] == [(3, *views.size)]

@@ -135,6 +135,17 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     shown = SeenScene([SourceImage.covering("one", size, size)], cameras, TorchRenderer())
     weights = MaskFolder(tmp_path).weights(gaussians, shown)[0]
     assert weights.shape == (4,) and weights[:2].max() < 0.02 and weights[2:].min() > 0.98
+    Image.fromarray(mask // 255).save(tmp_path / "one.png")  # labels
+    assert torch.equal(MaskFolder(tmp_path).weights(gaussians, shown)[0], weights)
+    Image.fromarray(np.dstack([255 - mask, mask])).save(tmp_path / "one.png")  # a cut-out, dark where it is opaque
+    assert MaskFolder(tmp_path).weights(gaussians, shown).max() < 0.02
+    photograph = tmp_path.with_suffix(".jpg")
+    Image.new("L", size).save(photograph)
+    (tmp_path / "one.png").rename(tmp_path / f"{photograph.stem}.png")
+    lying = replace(shown, sources=[replace(shown.sources[0], path=photograph)])
+    with pytest.raises(ValueError, match=r"has 128x96 pixels, and .* 48x64, upright; give a mask of the same aspect"):
+        MaskFolder(tmp_path).weights(gaussians, lying)
+    (tmp_path / f"{photograph.stem}.png").rename(tmp_path / "one.png")
     behind = replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0]))
     assert float(MaskFolder(tmp_path).weights(behind, shown).abs().max()) < 1e-5
     with pytest.raises(ValueError, match="no mask for the photograph two"):

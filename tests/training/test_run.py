@@ -46,7 +46,10 @@ def uninterrupted(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "commit", lambda: where[0])
         patch.setattr(ReconstructionTraining, "training_step", training_step)
-        return out, anystyle.train(RECONSTRUCTION, out)
+        state = torch.random.get_rng_state()
+        outcome = anystyle.train(RECONSTRUCTION, out)
+        assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers go on
+        return out, outcome
 
 
 def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image, ImageChops
@@ -123,16 +122,22 @@ def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:
 
 
 def _mask_of(masks: Mapping[Path, Path], path: Path | None) -> Image.Image | None:
-    """The mask of a photograph in black and white; what is transparent is black, and of labels 0 and 1 1 is white.
-
-    A UserError says that it has not the aspect of the upright photograph.
-    """
+    """The mask of a photograph in black and white."""
     if path is None or path not in masks:
         return None
-    file, (width, height) = masks[path], image_size(path)
+    return open_mask(masks[path], path).point(lambda level: 255 if level > 127 else 0)
+
+
+def open_mask(file: Path, photograph: Path | None) -> Image.Image:
+    """The grey levels of a mask; what is transparent is black, and of labels 0 and 1 1 is white.
+
+    A UserError says that it has not the aspect of the upright photograph, where that is still there.
+    """
     mask, alpha = open_image(file).convert("L"), open_alpha(file)
-    if abs(mask.width * height / (mask.height * width) - 1) > MAX_ASPECT_ERROR:
-        sizes = f"has {mask.width}x{mask.height} pixels, and {path.name} {width}x{height}, upright"
-        raise UserError(f"the mask {file} {sizes}; give a mask of the same aspect")
-    levels = np.asarray(mask if alpha is None else ImageChops.multiply(mask, alpha))
-    return Image.fromarray(np.where(levels > (127 if levels.max() > 1 else 0), 255, 0).astype(np.uint8))
+    if photograph is not None and photograph.is_file():
+        width, height = image_size(photograph)
+        if abs(mask.width * height / (mask.height * width) - 1) > MAX_ASPECT_ERROR:
+            sizes = f"has {mask.width}x{mask.height} pixels, and {photograph.name} {width}x{height}, upright"
+            raise UserError(f"the mask {file} {sizes}; give a mask of the same aspect")
+    levels = mask if alpha is None else ImageChops.multiply(mask, alpha)
+    return levels.point(lambda level: 255 * level) if levels.getextrema()[1] == 1 else levels

@@ -29,6 +29,7 @@ from anystyle.registry.compose import compose
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import node, plain, runtime_arguments
 from anystyle.types import OnProgress, no_progress
+from anystyle.types.seeds import seeded
 
 RUN_OR_IMAGES = "--run judges a model, and --stylized judges images; give one of them"
 STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
@@ -134,34 +135,34 @@ def run(
     The ``flags`` are those of the command that are not overrides, for the record.
     """
     start = time.perf_counter()
-    torch.manual_seed(checked_seed(config.seed))
-    if config.get("missing") is not None:
-        config = config.copy()
-        config.protocol.missing = config.missing
-    plugin, options = plugin_of(Protocol, config.protocol)
-    named = runtime_arguments(plugin)
-    sources = make_sources(config, named)
-    inputs = plugin.load().check(**options, **sources)
-    parts, weights = make_parts(config, named)
-    protocol = build(Protocol, config.protocol, **parts, **sources, inputs=inputs)
-    judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
-    with bind(config, weights, out, named):
-        _refuse_loss(out, config)
-        evaluation = protocol.run(out, on_progress)
-        provenance = {
-            "protocol": plugin.name,
-            "variant": str(config.variant),
-            "weights": {**weights, **{f"metric {name}": files for name, files in judges.items() if files}},
-            "seconds": round(time.perf_counter() - start, 3),
-            "machine": machine(),
-            "command": command_line("evaluate", *flags, "--out", str(out)),
-            "commit": commit(),
-            "seed": config.seed,
-            "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
-            "versions": versions(),
-        }
-        provenance |= foundations(provenance["config"])
-        written = record.write(evaluation, out, provenance)
+    with seeded(checked_seed(config.seed)):
+        if config.get("missing") is not None:
+            config = config.copy()
+            config.protocol.missing = config.missing
+        plugin, options = plugin_of(Protocol, config.protocol)
+        named = runtime_arguments(plugin)
+        sources = make_sources(config, named)
+        inputs = plugin.load().check(**options, **sources)
+        parts, weights = make_parts(config, named)
+        protocol = build(Protocol, config.protocol, **parts, **sources, inputs=inputs)
+        judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
+        with bind(config, weights, out, named):
+            _refuse_loss(out, config)
+            evaluation = protocol.run(out, on_progress)
+            provenance = {
+                "protocol": plugin.name,
+                "variant": str(config.variant),
+                "weights": {**weights, **{f"metric {name}": files for name, files in judges.items() if files}},
+                "seconds": round(time.perf_counter() - start, 3),
+                "machine": machine(),
+                "command": command_line("evaluate", *flags, "--out", str(out)),
+                "commit": commit(),
+                "seed": config.seed,
+                "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
+                "versions": versions(),
+            }
+            provenance |= foundations(provenance["config"])
+            written = record.write(evaluation, out, provenance)
     plots.examples(evaluation, out / "examples.png")
     try:
         plots.spread(evaluation, out / "spread.png", caption=f"{plugin.name}, {config.variant}; n = {evaluation.size}")

@@ -10,8 +10,9 @@ from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
 from anystyle.data.folder import nested_image_files
-from anystyle.data.images import open_image, to_tensor
+from anystyle.data.images import to_tensor
 from anystyle.data.names import matched
+from anystyle.data.photo_masks import open_mask
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.colors import fit_colors
@@ -82,7 +83,8 @@ class MaskFolder(Mask):
     """Style where masks of the photographs are white: a Gaussian has the mean of the pixels that show it.
 
     Args:
-        folder: An image named as each photograph, drawn on it as it came from the camera; dark is unstyled.
+        folder: An image named as each photograph, drawn on it as it came from the camera, or a cut-out of it; dark or
+            transparent is unstyled, and of labels 0 and 1 1 is styled.
         soft: Standard deviation of the blur of the masks, as a fraction of their shorter side.
     """
 
@@ -96,8 +98,9 @@ class MaskFolder(Mask):
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """The masks through the renderer."""
         files = mask_files(self.folder, seen.sources)
-        masks = [to_tensor(source.of_view(open_image(file))) for source, file in zip(seen.sources, files, strict=True)]
-        masks = torch.stack(masks).to(gaussians.means)
+        drawn = [open_mask(file, source.path).convert("RGB") for source, file in zip(seen.sources, files, strict=True)]
+        shown = [to_tensor(source.of_view(mask)) for source, mask in zip(seen.sources, drawn, strict=True)]
+        masks = torch.stack(shown).to(gaussians.means)
         if self.soft > 0:
             sigma = self.soft * min(masks.shape[-2:])
             width = 2 * int(3 * sigma + 1) + 1

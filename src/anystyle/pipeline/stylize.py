@@ -6,7 +6,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import torch
 from PIL import Image
 from torch import Tensor
 
@@ -27,6 +26,7 @@ from anystyle.pipeline.styles import Mixture, Named, StyleInput, embed_styles
 from anystyle.pipeline.words import digest, recorded
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style
+from anystyle.types.seeds import seeded
 
 
 def stylize(
@@ -103,10 +103,9 @@ def stylize(
     in_memory = {name: part for name, part in parts.items() if part is not None and not isinstance(part, str)}
     stages = stages or Stages()
     request.check()
-    torch.manual_seed(request.seed)
     known = not in_memory
     asked = {"request": recorded(request) if known else None, "request_sha256": digest(request) if known else None}
-    with _results_folder(out, request, overwrite, asked["request_sha256"]) as folder:
+    with seeded(request.seed), _results_folder(out, request, overwrite, asked["request_sha256"]) as folder:
         with stages("load", "the model"):
             loaded = load_model(request, **in_memory)
         with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these

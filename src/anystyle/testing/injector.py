@@ -9,8 +9,9 @@ from torch import Tensor, nn
 from anystyle.contracts import Injector
 from anystyle.testing import asserts
 from anystyle.testing.inputs import generator, noise
-from anystyle.testing.subject import Subject, seeded
+from anystyle.testing.subject import Subject
 from anystyle.types import Site, Tokens
+from anystyle.types.seeds import seeded
 from anystyle.types.shapes import check_value
 
 STYLE_DIM, DIM = 24, 64

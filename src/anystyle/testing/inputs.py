@@ -9,10 +9,10 @@ from torch import Tensor
 
 from anystyle.contracts import Backbone, neutral_embedding
 from anystyle.geometry.cameras import look_at
-from anystyle.testing.subject import seeded
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Cameras, Comparison, Gaussians, Renders, Style, StyleEmbedding, Stylization, Views
+from anystyle.types.seeds import seeded
 
 SIZE = (64, 80)
 TEXTS = ("red and orange", "deep blue", "green")

@@ -11,8 +11,9 @@ from torch import Tensor
 from anystyle.contracts import Loss
 from anystyle.testing import asserts
 from anystyle.testing.inputs import images, style_encoder, stylization
-from anystyle.testing.subject import Subject, seeded
+from anystyle.testing.subject import Subject
 from anystyle.types import Stylization
+from anystyle.types.seeds import seeded
 from anystyle.types.shapes import check_tensor
 
 

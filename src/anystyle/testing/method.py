@@ -12,11 +12,12 @@ from anystyle.contracts import Method
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
 from anystyle.testing.inputs import images, views
-from anystyle.testing.subject import Subject, seeded
+from anystyle.testing.subject import Subject
 from anystyle.testing.toy.loss import ToyLoss
 from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.types import Gaussians, Scene, Style
 from anystyle.types.progress import Progress
+from anystyle.types.seeds import seeded
 from anystyle.types.shapes import check_value
 
 

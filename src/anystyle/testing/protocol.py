@@ -11,12 +11,13 @@ import torch
 
 from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.testing import asserts
-from anystyle.testing.subject import Subject, seeded
+from anystyle.testing.subject import Subject
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.styles import ToyStyles
 from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.types import OnProgress, Progress, no_progress
+from anystyle.types.seeds import seeded
 
 
 def test_scores_are_numbers(plugin: Subject[Protocol]) -> None:

@@ -12,10 +12,11 @@ from anystyle.contracts import Reconstruction
 from anystyle.testing import asserts
 from anystyle.testing.asserts import ONE_LINE
 from anystyle.testing.inputs import cameras, generator
-from anystyle.testing.subject import Subject, seeded
+from anystyle.testing.subject import Subject
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.types import Attributes, Gaussians, Geometry, Reconstructed, Views
+from anystyle.types.seeds import seeded
 from anystyle.types.shapes import check_value
 
 SIZE, NUMBER = (48, 64), 4

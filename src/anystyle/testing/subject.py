@@ -3,19 +3,18 @@
 import inspect
 import tempfile
 import weakref
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import pytest
-import torch
 from torch import nn
 
 from anystyle.errors import MissingExtra, UserError
 from anystyle.registry.catalog import base_of
+from anystyle.types.seeds import seeded
 
 T = TypeVar("T")
 
@@ -65,11 +64,3 @@ def subject(kind: str, cls: type[T], options: Mapping[str, Any] | None = None) -
     tested = Subject(kind, cls, dict(cls.example(Path(folder.name))))
     weakref.finalize(tested, folder.cleanup)
     return tested
-
-
-@contextmanager
-def seeded(seed: int) -> Iterator[None]:
-    """Draw from torch's global generator as after ``seed``, and leave it as it was."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        yield

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from anystyle.contracts import StyleEncoder
 from anystyle.contracts.training import Training
 from anystyle.testing import asserts
-from anystyle.testing.subject import Subject, seeded
+from anystyle.testing.subject import Subject
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.loss import ToyLoss
 from anystyle.testing.toy.renderer import ToyRenderer
@@ -27,6 +27,7 @@ from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.training.callbacks import StepSeed
 from anystyle.training.data import StepData
 from anystyle.types import Value
+from anystyle.types.seeds import seeded
 
 SOURCES = ToyScenes(size=(32, 32)), ToyStyles(size=32, period=8)
 

@@ -36,6 +36,7 @@ from anystyle.training.safeguards import FiniteLoss
 from anystyle.training.scene_cache import with_cache
 from anystyle.training.trainer import check_options, make_trainer
 from anystyle.training.watching import Best, EarlyStop
+from anystyle.types.seeds import seeded
 
 METRICS = "metrics.json"
 BEST = "best"
@@ -86,7 +87,7 @@ def train(
     # Before the lock, which would change a folder that may be read-only.
     if not config.fast_dev_run and (outcome := _finished(config, out)) is not None:
         return outcome
-    with exclusive(out) as check, _settings_of_torch_kept():
+    with exclusive(out) as check, _settings_of_torch_kept(), seeded(config.seed):
         if not config.fast_dev_run:
             return _finished(config, out) or _train(config, out, on_begin, check)
         with _trial(config, out) as (short, folder):
