@@ -157,7 +157,7 @@ def test_scores_of_stand_in_networks_say_so_in_every_table(tmp_path, capsys):
         assert STAND_IN in (Path("out") / name).read_text(), name
 
 
-def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
+def test_a_trained_run_is_judged_with_its_own_weights(tmp_path, caplog):
     from anystyle.pipeline.load import weights_file
 
     for number in range(2):
@@ -167,7 +167,9 @@ def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
         (folder / "bound.json").write_text(json.dumps({"weights.backbone": "tiny_backbone", "seed": 0}))
     words = ["protocol.num_styles=1", "protocol.num_scenes=1", "protocol.frames=1", *TOY]
     words += ["scenes=procedural", "scenes.size=112", "scenes.views=2", "styles=procedural", "styles.size=48"]
+    (tmp_path / "sweep" / "2" / ".hydra").mkdir(parents=True)  # of a job that has not ended
     run("--run", tmp_path / "sweep", *words)
+    assert f"1 jobs of {tmp_path / 'sweep'} have no branch.safetensors and are left out: 2" in caplog.messages
     one, other = (metrics(tmp_path / "sweep" / str(number) / "evaluation") for number in range(2))
     assert one["change"] == other["change"] and one["provenance"]["weights"]["branch"]["file"] == "branch.safetensors"
 

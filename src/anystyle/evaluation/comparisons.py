@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.data.images import image_size, open_alpha, open_image, to_tensor
+from anystyle.data.photo_masks import MAX_ASPECT_ERROR
 from anystyle.errors import UserError
 from anystyle.evaluation.names import Names
 from anystyle.evaluation.pairing import StylizedImages
@@ -87,6 +88,10 @@ def _read_depths(paths: tuple[Path | None, ...], size: tuple[int, int]) -> Float
     for path, values in maps.items():
         if values.ndim != 2 or values.shape != first.shape:
             raise UserError(f"{path} has shape {list(values.shape)}; the depth of one scene needs one shape [H, W]")
+        aspect = values.shape[1] * size[0] / (values.shape[0] * size[1])
+        if abs(aspect - 1) > MAX_ASPECT_ERROR or bool((values < 0).any()):
+            found = f"{list(values.shape)} with values from {values.min():g}, and its images {list(size)}"
+            raise UserError(f"{path} has shape {found}; expected depth [H, W] of the images' aspect, 0 or more")
     depth = torch.stack([torch.zeros_like(first) if path is None else maps[path] for path in paths])[None]
     # The nearest value: a mean of two surfaces lies on neither.
     return F.interpolate(depth, size, mode="nearest-exact")

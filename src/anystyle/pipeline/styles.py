@@ -158,7 +158,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
 
             file = resolved(style)
             title, image, made_of = title_of(style), read_image(file, masked=True)[None], (entry("image", [file]),)
-        case Tensor():
+        case Tensor() if style.ndim == 3:
             title, image, made_of = "image", style[None], (entry("image"),)
         case Style(image=Tensor() as image, names=names):
             title, made_of = names[0] if names else "image", (entry("image", names=names),)

@@ -1,5 +1,6 @@
 """The style branches of finished trainings, with the parts and weights that they were trained with."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,8 @@ from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.io.run_folder import RECORD
 from anystyle.paths import natural
+
+_log = logging.getLogger(__name__)
 
 BRANCH = "branch.safetensors"
 """What a training exports."""
@@ -21,6 +24,9 @@ def trained_runs(folder: Path) -> list[Path]:
     jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=lambda path: natural(path.name))
     if not (folders := [folder] if (folder / BRANCH).is_file() else jobs):
         raise UserError(f"{folder} holds no finished training of a style branch ({BRANCH}, in it or in its jobs)")
+    begun = sorted((path.parent for path in folder.glob("*/.hydra")), key=lambda path: natural(path.name))
+    if folders is jobs and (left := [path.name for path in begun if path not in jobs]):
+        _log.warning("%d jobs of %s have no %s and are left out: %s", len(left), folder, BRANCH, ", ".join(left))
     return folders
 
 
