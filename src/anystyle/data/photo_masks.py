@@ -125,7 +125,7 @@ def _mask_of(masks: Mapping[Path, Path], path: Path | None) -> Image.Image | Non
     """The mask of a photograph in black and white."""
     if path is None or path not in masks:
         return None
-    return open_mask(masks[path], path).point(lambda level: 255 if level > 127 else 0)
+    return open_mask(masks[path], path).point([0] * 128 + [255] * 128)
 
 
 def open_mask(file: Path, photograph: Path | None) -> Image.Image:
