@@ -138,7 +138,8 @@ def test_features_to_compare_are_computed_once_for_a_tensor_and_die_with_it() ->
     torch.testing.assert_close(features_to_compare(images, ("network",), compute)[0], images.flatten(0, 1))
     images.numpy()[...] *= 0.5  # as a buffer is filled, of which PyTorch's count of writes knows nothing
     torch.testing.assert_close(features_to_compare(images, ("network",), compute)[0], images.flatten(0, 1))
-    assert len(computed) == 4
+    features_to_compare(images.bfloat16(), ("network",), compute)
+    assert len(computed) == 5
     gone = weakref.ref(images)
     del images, first, again
     computed.clear()

@@ -68,7 +68,9 @@ def digests(images: Float[Tensor, " M *shape"]) -> list[str]:
     """
     if images.shape[0] > 1 and images.stride(0) == 0:
         return digests(images[:1]) * images.shape[0]
-    return [f"{tuple(row.shape)} {hash(row.numpy().tobytes())}" for row in images.detach().cpu().contiguous()]
+    rows = images.detach().cpu().contiguous()
+    # As bytes, for NumPy has no bfloat16.
+    return [f"{tuple(row.shape)} {hash(row.flatten().view(torch.uint8).numpy().tobytes())}" for row in rows]
 
 
 def batch_size(images: Float[Tensor, "M C H W"]) -> int:
