@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
-from anystyle.vision.vgg import BLOCKS_16, Chain
+from anystyle.vision.vgg import BLOCKS_16, Chain, rectified, stacked
 
 
 class Blur(nn.Module):
@@ -33,7 +33,8 @@ class ShiftTolerantVGG16(Chain):
     """VGG-16; layers are named as those of :class:`~anystyle.vision.vgg.VGG16` that LPIPS compares."""
 
     def __init__(self) -> None:
-        super().__init__(_vgg(), {"relu1_2": 3, "relu2_2": 9, "relu3_3": 17, "relu4_3": 25, "relu5_3": 33})
+        stages = stacked(BLOCKS_16, lambda channels: [nn.MaxPool2d(2, stride=1), Blur(channels)])
+        super().__init__(stages, {"relu1_2": 3, "relu2_2": 9, "relu3_3": 17, "relu4_3": 25, "relu5_3": 33})
 
 
 class ShiftTolerantAlexNet(Chain):
@@ -48,19 +49,9 @@ def trunk(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {f"features.{key.split('.', 2)[2]}": tensor for key, tensor in state.items() if key.startswith("net.slice")}
 
 
-def _vgg() -> Iterator[nn.Module]:
-    channels = 3
-    for block, (width, num_convolutions) in enumerate(BLOCKS_16):
-        if block:
-            yield from (nn.MaxPool2d(2, stride=1), Blur(channels))
-        for _ in range(num_convolutions):
-            yield from (nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True))
-            channels = width
-
-
 def _alexnet() -> Iterator[nn.Module]:
     yield from (nn.Conv2d(3, 64, 11, padding=2), Blur(64), nn.ReLU(inplace=True))
     yield from (nn.MaxPool2d(3, stride=1), Blur(64), nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(inplace=True))
     yield from (nn.MaxPool2d(3, stride=1), Blur(192))
     for channels, width in ((192, 384), (384, 256), (256, 256)):
-        yield from (nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True))
+        yield from rectified(channels, width)

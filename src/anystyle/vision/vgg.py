@@ -5,7 +5,7 @@ and strokes, in any colours and scale.
 Stand-ins need it: features of random weights can be matched without any visible pattern.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -40,14 +40,14 @@ class VGG16(Chain):
     """The convolutions of VGG-16; layers are named ``relu{block}_{convolution}``, up to ``relu5_3``."""
 
     def __init__(self) -> None:
-        super().__init__(_vgg(BLOCKS_16), _names(BLOCKS_16))
+        super().__init__(stacked(BLOCKS_16, lambda _: [nn.MaxPool2d(2)]), _names(BLOCKS_16))
 
 
 class VGG19(Chain):
     """The convolutions of VGG-19; layers are named ``relu{block}_{convolution}``, up to ``relu5_4``."""
 
     def __init__(self) -> None:
-        super().__init__(_vgg(BLOCKS_19), _names(BLOCKS_19))
+        super().__init__(stacked(BLOCKS_19, lambda _: [nn.MaxPool2d(2)]), _names(BLOCKS_19))
 
 
 class AdainVGG(FeatureNetwork):
@@ -59,7 +59,7 @@ class AdainVGG(FeatureNetwork):
 
     def __init__(self) -> None:
         super().__init__()
-        stages = [nn.Conv2d(3, 3, 1), *_reflecting(BLOCKS_19)]
+        stages = [nn.Conv2d(3, 3, 1), *stacked(BLOCKS_19, lambda _: [nn.MaxPool2d(2, ceil_mode=True)], _reflecting)]
         ends = [index for index, stage in enumerate(stages) if isinstance(stage, nn.MaxPool2d)]
         self.names = {f"relu{block}_1": start + 3 for block, start in enumerate([0, *ends], start=1)}
         self.layers = (RGB, *self.names)
@@ -79,7 +79,7 @@ class Texture(Chain):
     mean, std = (0.5,) * 3, (0.25,) * 3
 
     def __init__(self) -> None:
-        super().__init__(_texture(), _names(TEXTURE_BLOCKS))
+        super().__init__(stacked(TEXTURE_BLOCKS, lambda _: [nn.AvgPool2d(2)], _mirrored), _names(TEXTURE_BLOCKS))
 
 
 class AlexNet(Chain):
@@ -95,36 +95,42 @@ def _names(blocks: Blocks) -> dict[str, int]:
     return {name: 2 * index + int(name[4]) for index, name in enumerate(names)}
 
 
-def _vgg(blocks: Blocks) -> Iterator[nn.Module]:
+def rectified(channels: int, width: int) -> Sequence[nn.Module]:
+    """A convolution that keeps the size, and its rectification."""
+    return nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True)
+
+
+def stacked(
+    blocks: Blocks,
+    pooling: Callable[[int], Sequence[nn.Module]],
+    convolution: Callable[[int, int], Sequence[nn.Module]] = rectified,
+) -> Iterator[nn.Module]:
+    """Yield the convolutions of each block with what goes with them, and ahead of every block but the first a pooling.
+
+    Args:
+        blocks: Channels and number of convolutions of each.
+        pooling: Makes what lies between two blocks, of the first one's channels.
+        convolution: Makes a convolution, of the channels that it reads and those that it writes.
+    """
     channels = 3
-    for width, num_convolutions in blocks:
-        for _ in range(num_convolutions):
-            yield from (nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True))
-            channels = width
-        yield nn.MaxPool2d(2)
-
-
-def _reflecting(blocks: Blocks) -> Iterator[nn.Module]:
-    channels = 3
-    for width, num_convolutions in blocks:
-        for _ in range(num_convolutions):
-            yield from (nn.ReflectionPad2d(1), nn.Conv2d(channels, width, 3), nn.ReLU())
-            channels = width
-        yield nn.MaxPool2d(2, ceil_mode=True)
-
-
-def _texture() -> Iterator[nn.Module]:
-    channels = 3
-    for block, (width, num_convolutions) in enumerate(TEXTURE_BLOCKS):
+    for block, (width, num_convolutions) in enumerate(blocks):
         if block:
-            yield nn.AvgPool2d(2)
+            yield from pooling(channels)
         for _ in range(num_convolutions):
-            yield from (nn.Conv2d(channels, width, 3, padding=1, padding_mode="reflect"), nn.ReLU())
+            yield from convolution(channels, width)
             channels = width
+
+
+def _reflecting(channels: int, width: int) -> Sequence[nn.Module]:
+    return nn.ReflectionPad2d(1), nn.Conv2d(channels, width, 3), nn.ReLU()
+
+
+def _mirrored(channels: int, width: int) -> Sequence[nn.Module]:
+    return nn.Conv2d(channels, width, 3, padding=1, padding_mode="reflect"), nn.ReLU()
 
 
 def _alexnet() -> Iterator[nn.Module]:
     yield from (nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
     yield from (nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
     for channels, width in ((192, 384), (384, 256), (256, 256)):
-        yield from (nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True))
+        yield from rectified(channels, width)
