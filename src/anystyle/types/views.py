@@ -76,13 +76,8 @@ class Views(Given):
 
     def select(self, views: list[int]) -> "Views":
         """Some of the views, in the order asked for."""
-        given = {name: getattr(self, name) for name in ("depth", "alpha", "valid")}
-        return Views(
-            images=self.images[:, views],
-            cameras=None if self.cameras is None else self.cameras.select(views),
-            names=tuple(self.names[view] for view in views) if self.names else (),
-            **{name: None if value is None else value[:, views] for name, value in given.items()},
-        )
+        names = tuple(self.names[view] for view in views) if self.names else ()
+        return replace(self.map(lambda tensor: tensor[:, views]), names=names)
 
 
 @dataclass(frozen=True)
