@@ -1,6 +1,6 @@
 """The contract of a backbone and of its five parts."""
 
-import importlib
+import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import ClassVar, final
@@ -161,8 +161,7 @@ class Backbone(Pluggable, nn.Module, ABC):
         """What :attr:`published` is, or names."""
         if not isinstance(cls.published, str):
             return cls.published
-        module, _, name = cls.published.partition(":")
-        return getattr(importlib.import_module(module), name)()
+        return pkgutil.resolve_name(cls.published)()
 
     @property
     @final

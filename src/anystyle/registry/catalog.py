@@ -10,6 +10,7 @@ contract.
 import importlib
 import logging
 import os
+import pkgutil
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -120,8 +121,7 @@ def location_in(error: BaseException, module: str) -> str:
 def base_of(kind: str) -> type[Pluggable]:
     """Import the contract of a kind; a PluginError where there is none, or its package cannot be imported."""
     if kind in KINDS:
-        module, _, name = KINDS[kind].partition(":")
-        return getattr(importlib.import_module(module), name)
+        return pkgutil.resolve_name(KINDS[kind])
     if not (declared := catalog().declarations(_KIND, kind)):
         raise PluginError(unknown("kind of plugin", kind, kinds()))
     contract = _import(declared[0])

@@ -5,7 +5,7 @@ the files ``GROUP/NAME.yaml`` in a plugin package's ``conf``. Groups of which a 
 packaged by name: ``loss=[content,style]``, ``loss.style.weight=2``.
 """
 
-import importlib
+import pkgutil
 import re
 from functools import cached_property
 from pathlib import Path
@@ -78,8 +78,7 @@ class PluginSource(ConfigSource):
         if preset is not None:
             return ConfigResult(self.provider, self.full_path(), *_read(preset))
         if group == _OPTIONS:
-            module, _, cls = OPTIONS[name].partition(":")
-            config = OmegaConf.structured(getattr(importlib.import_module(module), cls))
+            config = OmegaConf.structured(pkgutil.resolve_name(OPTIONS[name]))
             OmegaConf.set_readonly(config, None)  # a frozen dataclass makes it so
             for value in config.values():
                 if isinstance(value, DictConfig):
