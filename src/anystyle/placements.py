@@ -8,7 +8,17 @@ from anystyle.errors import UserError
 from anystyle.types import Site, matching_sites
 
 
-class Head(Placement):
+class _Matching(Placement):
+    """The sites that patterns name, of every layer or of those that heads read."""
+
+    patterns: Sequence[str]
+    every_layer: bool = True
+
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        return matching_sites(sites, self.patterns, every_layer=self.every_layer)
+
+
+class Head(_Matching):
     """Style enters the Gaussian head: its token maps and its direct path from the pixels (the paper's "Head").
 
     The aggregator is not copied, so each additional style costs only the head.
@@ -20,11 +30,8 @@ class Head(Placement):
     def __init__(self, *, direct: bool = True) -> None:
         self.patterns = ["head/*" if direct else "head/tokens/*"]
 
-    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching_sites(sites, self.patterns)
 
-
-class AggregatorPlacement(Placement):
+class AggregatorPlacement(_Matching):
     """Style enters a copy of the aggregator, and reaches the copied head only through its features.
 
     Args:
@@ -32,14 +39,13 @@ class AggregatorPlacement(Placement):
             appendix: layers 0, 4, 11, 17 and 23).
     """
 
+    patterns = ("aggregator/*",)
+
     def __init__(self, *, every_layer: bool = False) -> None:
         self.every_layer = every_layer
 
-    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching_sites(sites, ["aggregator/*"], every_layer=self.every_layer)
 
-
-class Full(Placement):
+class Full(_Matching):
     """Style enters a copy of the aggregator and the copied Gaussian head (the paper's "Agg", its best variant).
 
     Args:
@@ -52,21 +58,17 @@ class Full(Placement):
         self.every_layer = every_layer
         self.patterns = ["aggregator/*", "head/*" if direct else "head/tokens/*"]
 
-    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching_sites(sites, self.patterns, every_layer=self.every_layer)
 
-
-class Color(Placement):
+class Color(_Matching):
     """Style enters the colours that the Gaussian head gives, and nothing is copied.
 
     It fits every backbone, and each additional style costs only the injector.
     """
 
-    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching_sites(sites, ["color"])
+    patterns = ("color",)
 
 
-class Sites(Placement):
+class Sites(_Matching):
     """Style enters the sites that patterns name.
 
     Args:
@@ -82,6 +84,3 @@ class Sites(Placement):
         if not patterns:
             raise UserError("placement.patterns is empty; name a site, such as placement.patterns=[color]")
         self.patterns = tuple(patterns)
-
-    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching_sites(sites, self.patterns, every_layer=True)
