@@ -1,14 +1,13 @@
 """Check a plugin against the contract of its kind, and report what is wrong."""
 
-import sys
 from collections.abc import Sequence
 
 from anystyle.cli.arguments import new_parser, parse
-from anystyle.cli.run import FAILED, run, words_of
+from anystyle.cli.run import FAILED
 from anystyle.registry.catalog import catalog, kinds
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Run ``anystyle plugins check``; returns the exit status."""
     parser = new_parser(
         "plugins check",
@@ -17,14 +16,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
     parser.add_argument("name", metavar="NAME", help="a plugin of that kind")
-    arguments = parse(parser, words_of(argv))
+    arguments = parse(parser, argv)
     plugin = catalog().find(arguments.kind, arguments.name)
 
     from anystyle.testing import check
 
     print(plugin)
     return 0 if check(plugin.kind, plugin.name) else FAILED
-
-
-if __name__ == "__main__":
-    run(lambda: sys.exit(main()))

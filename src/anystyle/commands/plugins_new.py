@@ -11,7 +11,6 @@ from pathlib import Path
 
 from anystyle import paths
 from anystyle.cli.arguments import new_parser, parse
-from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import read_text
@@ -22,7 +21,7 @@ from anystyle.registry.packages import presets, source_file
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Run ``anystyle plugins new``."""
     parser = new_parser(
         "plugins new",
@@ -32,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
     parser.add_argument("name", metavar="NAME", help="its name: a-z, 0-9 and '_'")
     parser.add_argument("--into", metavar="DIR", type=Path, default=Path("plugins"), help="where (default: plugins)")
-    arguments = parse(parser, words_of(argv))
+    arguments = parse(parser, argv)
     folder = write(arguments.kind, arguments.name, arguments.into)
     module = f"anystyle_{arguments.name}"
     print(f"wrote {folder}: {module}.py, pyproject.toml, test_{module}.py, README.md")
@@ -119,7 +118,3 @@ def _use(kind: str, name: str) -> str:
 def _with_article(kind: str) -> str:
     words = kind.replace("_", " ")
     return f"an {words}" if words[0] in "aeiou" else f"a {words}"
-
-
-if __name__ == "__main__":
-    run(main)
