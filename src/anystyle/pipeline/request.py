@@ -193,10 +193,19 @@ class Request:
         checked_seed(self.config.seed)
 
     def check_inputs(self) -> None:
-        """Refuse inputs that are not there."""
+        """Refuse inputs that are not there, which takes no time, before networks are loaded, which takes long."""
         if self.inputs is None and self.config.get("scenes") is None:
             raise UserError("no photographs are given; name a folder, files or a video")
-        _check(self.inputs)
+        match self.inputs:
+            case SavedScene(path) if not path.exists():
+                raise UserError(
+                    f"there is no file {path}; name photographs, a video, a file of Gaussians or a saved folder"
+                )
+            case Photographs(paths):
+                from anystyle.data.folder import files_of
+
+                for path in paths:
+                    files_of(path)
         folder = self.poses.folder
         if folder is not None and not Path(folder).exists():
             raise UserError(f"poses_from={folder} does not exist; name the folder or file that holds the cameras")
@@ -217,17 +226,3 @@ def _overrides_of(key: str, value: object) -> list[str]:
             return [override(f"{key}.{name}", item) for name, item in value.items()]
         case _:
             return [override(key, value)]
-
-
-def _check(inputs: Inputs | None) -> None:
-    """Refuse inputs that are not there, which takes no time, before networks are loaded, which takes long."""
-    match inputs:
-        case SavedScene(path) if not path.exists():
-            raise UserError(
-                f"there is no file {path}; name photographs, a video, a file of Gaussians or a saved folder"
-            )
-        case Photographs(paths):
-            from anystyle.data.folder import files_of
-
-            for path in paths:
-                files_of(path)
