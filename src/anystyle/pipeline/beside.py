@@ -23,7 +23,8 @@ from anystyle.types import Cameras, StyledScene
 _log = logging.getLogger(__name__)
 _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
-_Side = Annotated[int, Meta(gt=0, le=100_000)]
+Side = Annotated[int, Meta(gt=0, le=100_000)]
+"""Pixels of a picture's height or width."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class SavedCamera:
     """A view in ``cameras.json``."""
 
     name: str
-    height: _Side
-    width: _Side
+    height: Side
+    width: Side
     intrinsics: tuple[_Row3, _Row3, _Row3]
     world_from_camera: tuple[_Row4, _Row4, _Row4, _Row4]
 

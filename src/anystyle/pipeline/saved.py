@@ -5,12 +5,11 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
@@ -25,7 +24,7 @@ from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render, pixels_shown, with_gaussians
 from anystyle.methods.simplify import simplified
 from anystyle.paths import distinct, short_names
-from anystyle.pipeline.beside import cameras_beside, own_cameras, saved_cameras, with_cameras
+from anystyle.pipeline.beside import Side, cameras_beside, own_cameras, saved_cameras, with_cameras
 from anystyle.pipeline.export import in_axes, turn
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
@@ -63,7 +62,6 @@ ABOVE, BELOW = 0.3, 0.03
 CameraOrigin = Literal["stored", "chosen"]
 """Where cameras come from: stored beside the scene as those of photographs, or chosen around it."""
 _AS_IT_SAYS = SplatOptions()
-_Side = Annotated[int, Meta(gt=0, le=100_000)]
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ class SavedReport:
     gaussians: Count = 0
     views: Count = 0
     reconstruction: dict[str, object] = field(default_factory=dict)
-    size: tuple[_Side, _Side] | None = None
+    size: tuple[Side, Side] | None = None
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     offset: Offset = NEAR
