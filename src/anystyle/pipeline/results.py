@@ -5,7 +5,6 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
-from importlib.metadata import version
 from math import isqrt
 from typing import Any
 
@@ -17,6 +16,7 @@ from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.heap import keep_freed
 from anystyle.io.cache import LRUCache
+from anystyle.io.record import versions
 from anystyle.io.sheet import thumbnails
 from anystyle.pipeline.controls import Controls, Mask, SeenScene, applied
 from anystyle.pipeline.encode import EncodedCapture
@@ -31,7 +31,6 @@ from anystyle.types.shapes import check_value
 from anystyle.vision.weights import license_lines, licenses
 
 _log = logging.getLogger(__name__)
-VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 
 
 class Restyler:
@@ -188,7 +187,7 @@ class StylizeRun:
             "notes": encoded.notes,
             "offset": encoded.offset if any(encoded.offset) else None,
             "provenance": self.made_of([style]),
-            "versions": VERSIONS,
+            "versions": versions(),
         }
         return {name: value for name, value in report.items() if value or name not in ("controls", "texts", "offset")}
 
