@@ -21,7 +21,7 @@ from anystyle.examples import resolved
 from anystyle.io import video
 from anystyle.io.images import Picture
 from anystyle.io.limits import require
-from anystyle.paths import natural, short_names, text_of
+from anystyle.paths import folders_in, natural, short_names, text_of
 from anystyle.types import Cameras, Original, SourceImage, Views
 from anystyle.types.views import SHOWN
 
@@ -228,8 +228,7 @@ def nested_image_files(folder: Path, depth: int = 3) -> list[Path]:
 
 def folders_of_photographs(folder: Path) -> list[Path]:
     """The folders in a folder that may hold photographs; of reduced copies the largest."""
-    inside = [path for path in folder.glob("[!.]*") if path.is_dir() and not OTHER.fullmatch(path.name)]
-    inside.sort(key=lambda path: natural(path.name))
+    inside = [path for path in folders_in(folder) if not OTHER.fullmatch(path.name)]
     copies = [path for path in inside if re.fullmatch(r"images_\d+", path.name)]
     return [path for path in inside if path not in copies[1:]]
 
