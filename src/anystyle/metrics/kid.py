@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated, ClassVar
 
 import torch
@@ -50,10 +51,9 @@ class KID(NetworkMetric):
     @accepts_tensors
     def update(self, comparison: Comparison) -> None:
         comparison, style = with_style_images(comparison)
-        self.stylized += [
-            self.inception.vectors(batch.preds, size=self.size, rounded=False) for batch in pairs(comparison)
-        ]
-        self.style.append(self.inception.vectors(style, size=self.size, rounded=False))
+        vectors = partial(self.inception.vectors, size=self.size, rounded=False)
+        self.stylized += [vectors(batch.preds) for batch in pairs(comparison)]
+        self.style.append(vectors(style))
 
     def compute(self) -> Tensor:
         stylized, style = stacked(self.stylized), stacked(self.style).unique(dim=0)
