@@ -82,6 +82,11 @@ class Controls:
         return ", ".join([*numbers, *(["mask"] if self.mask is not None else [])])
 
 
+def _of_one_degree(*harmonics: Float[Tensor, "B N _ 3"]) -> list[Float[Tensor, "B N K 3"]]:
+    most = max(tensor.shape[2] for tensor in harmonics)
+    return [F.pad(tensor, (0, 0, 0, most - tensor.shape[2])) for tensor in harmonics]
+
+
 def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"]) -> Gaussians:
     """The Gaussians at a share of the way from unstyled to styled: attributes straight, rotations on the sphere.
 
@@ -89,13 +94,12 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
     """
     if unstyled.means.shape != styled.means.shape:
         raise UserError(f"{unstyled.means.shape[1]} and {styled.means.shape[1]} Gaussians are not of one scene")
-    degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
     amount = torch.ones_like(styled.opacities) * torch.as_tensor(weights).to(styled.means)
 
     def between(name: str) -> Tensor:
         start, end = getattr(unstyled, name), getattr(styled, name)
         if name == "harmonics":
-            start, end = (F.pad(tensor, (0, 0, 0, degree - tensor.shape[2])) for tensor in (start, end))
+            start, end = _of_one_degree(start, end)
         part = amount.reshape(*amount.shape, *[1] * (start.ndim - 2))
         if name == "rotations":
             lengths = [tensor.norm(dim=-1, keepdim=True).clamp_min(1e-12) for tensor in (start, end)]
@@ -115,10 +119,7 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
     the coefficients of harmonics, so it holds from every direction. An amount of 0 keeps the style's own
     colours.
     """
-    degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
-    content, style = (
-        F.pad(gaussians.harmonics, (0, 0, 0, degree - gaussians.harmonics.shape[2])) for gaussians in (unstyled, styled)
-    )
+    content, style = _of_one_degree(unstyled.harmonics, styled.harmonics)
     brighter = (style - content) @ content.new_tensor(LUMA)  # B N K
     return replace(styled, harmonics=torch.lerp(style, content + brighter[..., None], amount))
 
