@@ -91,8 +91,8 @@ class WarpConsistency(NetworkMetric):
         self.reference = variant == "reference"
         self.flow_from = flow_from or ("stylized" if self.reference else "content")
         self.network = lpips.load("vgg", weights)
-        self.declare(*correspondence.sources)
         self.name_after(self.network.name)
+        self.declare(*correspondence.sources)
         distances = [f"warp_{self.network.name}_{name}" for name in RANGES]
         self.declare(*correspondence.sources, self.network.source, scores=distances)
         # The photographs' flows of each range, for the next style of the same scene.
