@@ -137,7 +137,7 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     assert weights.shape == (4,) and weights[:2].max() < 0.02 and weights[2:].min() > 0.98
     Image.fromarray(mask // 255).save(tmp_path / "one.png")  # labels
     assert torch.equal(MaskFolder(tmp_path).weights(gaussians, shown)[0], weights)
-    Image.fromarray(np.dstack([255 - mask, mask])).save(tmp_path / "one.png")  # a cut-out, dark where it is opaque
+    Image.fromarray(np.dstack([255 - mask, mask])).save(tmp_path / "one.png")  # dark where it is opaque
     assert MaskFolder(tmp_path).weights(gaussians, shown).max() < 0.02
     photograph = tmp_path.with_suffix(".jpg")
     Image.new("L", size).save(photograph)

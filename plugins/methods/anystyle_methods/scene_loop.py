@@ -20,6 +20,7 @@ from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization
 from anystyle.types.progress import OnProgress, Progress
+from anystyle.types.seeds import seeded
 from anystyle_methods.order import canonical_order
 
 FLOOR = 1e-6  # least variance, so that the square root of a covariance is invertible
@@ -119,8 +120,7 @@ class SceneLoop:
     def _advance(self, view: int, fraction: float) -> float:
         """Take one step, when this ``fraction`` of all is done, and return the loss before it."""
         self.splats.adam.rates = {name: rate * self.decay**fraction for name, rate in self.rates.items()}
-        with torch.random.fork_rng(devices=[]), torch.enable_grad():
-            torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
+        with seeded(int(torch.randint(2**31, (), generator=self.generator))), torch.enable_grad():
             loss = self.loss(view)
             loss.backward()
         norm = get_total_norm([value.grad for value in self.splats.parameters.values() if value.grad is not None])

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from anystyle.contracts.protocol import Evaluation
 from anystyle.errors import UserError
 from anystyle.evaluation import record
-from anystyle.io.checkpoint import has_header, read_header
+from anystyle.io.checkpoint import sha256
 from anystyle.io.documents import as_number, kept_json, read_yaml
 from anystyle.paths import natural
 from anystyle.registry.jobs import swept
@@ -82,10 +82,10 @@ def _run(folder: Path) -> Run:
         words = tuple(read_yaml(folder / OVERRIDES, list[str], what="list of overrides"))
     except UserError:
         words = ()
-    stored: dict[str, Any] = kept_json(folder / record.FILE, dict[str, Any]) or {}
-    numbers = {name: value for name, value in stored.items() if value is None or type(value) in (int, float)}
-    logged = {} if "provenance" in stored else {name: as_number(value) for name, value in numbers.items()}
-    if (folder / "last.ckpt").is_file() and not stored:  # also where an earlier training left weights
+    stored: dict[str, Any] | None = kept_json(folder / record.FILE, dict[str, Any])
+    numbers = {name: value for name, value in (stored or {}).items() if value is None or type(value) in (int, float)}
+    logged = {} if "provenance" in (stored or {}) else {name: as_number(value) for name, value in numbers.items()}
+    if (folder / "last.ckpt").is_file() and stored is None:  # also where an earlier training left weights
         return Run(folder, words, "unfinished")
     evaluation = _evaluation(folder)
     finished = evaluation or logged or any(folder.glob("*.safetensors"))
@@ -96,13 +96,15 @@ def _evaluation(folder: Path) -> Path | None:
     inside = sorted(path.parent for path in folder.glob(f"*/{record.FILE}"))
     for path in dict.fromkeys((folder, folder / "evaluation", *inside)):
         if (found := record.read(path)) is not None:
-            if path == folder or _is_of(folder, found.provenance.get("weights", {})):
+            if path == folder or _is_of(folder, found.provenance.get("weights")):
                 return path
             _log.warning("%s judged other weights than %s has now: evaluate it again", path, folder)
     return None
 
 
-def _is_of(run: Path, judged: Mapping[str, Any]) -> bool:
-    """Whether what was judged was made as the weights of a training were."""
-    headers = [read_header(file) for file in run.glob("*.safetensors") if has_header(file)]
-    return all(judged.get(each.part, {}).get("provenance", each.provenance) == each.provenance for each in headers)
+def _is_of(run: Path, judged: object) -> bool:
+    """Whether what was judged are the weights that a training has now, as far as it is known."""
+    rows: Mapping[str, Any] = judged if isinstance(judged, dict) else {}
+    digests = {part: row["sha256"] for part, row in rows.items() if isinstance(row, dict) and "sha256" in row}
+    files = {part: run / f"{part}.safetensors" for part in digests}
+    return all(sha256(file) == digests[part] for part, file in files.items() if file.is_file())

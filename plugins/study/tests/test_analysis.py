@@ -207,6 +207,9 @@ def test_checks_that_are_skipped_or_failed_by_ratings_are_found(tmp_path):
     write_csv(path, [(*kept[0][:4], "B" if kept[0][4] == "A" else "A")], "participant,item,question,score,ours_is")
     with pytest.raises(ValueError, match=r"row 2: ours_is is [AB], and by the design it was [AB]"):
         check(read_responses([path], designed), scale=Scale(), rules=Rules())
+    write_csv(path, [(*kept[0][:4], "left")], "participant,item,question,score,ours_is")
+    with pytest.raises(ValueError, match="row 2: ours_is is 'left'; expected A or B"):
+        check(read_responses([path], designed), scale=Scale(), rules=Rules())
     write_csv(path, [row for row in rows if row[1] != degraded.id], "participant,item,question,side,score")
     assert not check(read_responses([path], designed), scale=Scale(), rules=Rules())[0].exclusions  # it has no checks
 

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.data.images import image_size, open_alpha, open_image, to_tensor
-from anystyle.data.photo_masks import MAX_ASPECT_ERROR
 from anystyle.errors import UserError
 from anystyle.evaluation.names import Names
 from anystyle.evaluation.pairing import StylizedImages
@@ -25,6 +24,8 @@ from anystyle.types import Cameras, Comparison, Style
 _CAMERAS = (
     "file of cameras: frames (names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels, size (height, width)"
 )
+ASPECT_ERROR = 0.07
+"""By which depth may differ from its images' aspect: networks round sides to multiples of their patches."""
 
 
 class Reader:
@@ -86,12 +87,12 @@ def _read_depths(paths: tuple[Path | None, ...], size: tuple[int, int]) -> Float
     maps = {path: torch.from_numpy(read_array(path, what=what)).float() for path in paths if path is not None}
     first = next(iter(maps.values()))
     for path, values in maps.items():
-        if values.ndim != 2 or values.shape != first.shape:
+        if values.ndim != 2 or values.shape != first.shape or not values.numel():
             raise UserError(f"{path} has shape {list(values.shape)}; the depth of one scene needs one shape [H, W]")
-        aspect = values.shape[1] * size[0] / (values.shape[0] * size[1])
-        if abs(aspect - 1) > MAX_ASPECT_ERROR or bool((values < 0).any()):
-            found = f"{list(values.shape)} with values from {values.min():g}, and its images {list(size)}"
-            raise UserError(f"{path} has shape {found}; expected depth [H, W] of the images' aspect, 0 or more")
+        if bool((values < 0).any()):
+            raise UserError(f"{path} has depth from {values.min():g}; expected distances along z, and 0 where unknown")
+        if abs(values.shape[1] * size[0] / (values.shape[0] * size[1]) - 1) > ASPECT_ERROR:
+            raise UserError(f"{path} has shape {list(values.shape)}, of another aspect than its images, {list(size)}")
     depth = torch.stack([torch.zeros_like(first) if path is None else maps[path] for path in paths])[None]
     # The nearest value: a mean of two surfaces lies on neither.
     return F.interpolate(depth, size, mode="nearest-exact")

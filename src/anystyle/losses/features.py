@@ -16,6 +16,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
 from anystyle.types import Renders, Source, Stylization
 from anystyle.vision import networks
 from anystyle.vision.eager_backward import eager_backward
@@ -67,7 +68,9 @@ def resized(images: Float[Tensor, "M 3 H W"], side: int | None, mode: str, *, an
     return F.interpolate(images, size=(side, side), mode=mode, align_corners=False, antialias=antialias)
 
 
-_KEPT: MutableMapping[Tensor, tuple[object, dict[tuple[object, ...], list[Tensor]]]] = WeakIdKeyDictionary()
+_KEPT: MutableMapping[Tensor, tuple[object, LRUCache[tuple[object, ...], list[Tensor]]]] = WeakIdKeyDictionary()
+_MOST = 64
+"""Results that are kept of one tensor; with networks that learn each is another."""
 
 
 @torch.no_grad()
@@ -83,11 +86,8 @@ def features_to_compare(
     values = digests(rows) if images.device.type == "cpu" else 0 if images.is_inference() else images._version
     state = torch.is_inference_mode_enabled(), values
     if images not in _KEPT or _KEPT[images][0] != state:
-        _KEPT[images] = state, {}
-    kept = _KEPT[images][1]
-    if key not in kept:
-        kept[key] = [features.detach() for features in compute(rows)]
-    return kept[key]
+        _KEPT[images] = state, LRUCache(_MOST)
+    return _KEPT[images][1].get(key, lambda: [features.detach() for features in compute(rows)])
 
 
 def reference_embeddings(

@@ -112,7 +112,7 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
         share: The fraction to be shown of the pixels that Gaussians cover where they are largest, in (0, 1].
         most: Views at most.
     """
-    system = _System(gaussians.detach(), cameras.detach(), renderer)
+    system = _System(_frozen(gaussians), cameras.detach(), renderer)
 
     def choose() -> tuple[_System, list[int]]:
         every = -(-gaussians.means.shape[1] // COUNTED)
@@ -320,11 +320,8 @@ _VIEWS: LRUCache[tuple[object, ...], tuple[Gaussians, Renderer, dict[bytes, Line
 
 
 def _frozen(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians without gradients. Of those that learn nothing is kept: fused optimisers raise no version."""
-    if any(tensor.requires_grad for tensor in vars(gaussians).values()):
-        for cache in (_SYSTEMS, _COVERS, _VIEWS):
-            cache.clear()
-    return gaussians.detach()
+    """The Gaussians without gradients; what learns is copied, for fused optimisers raise no version of what is kept."""
+    return gaussians.map(lambda tensor: tensor.detach().clone() if tensor.requires_grad else tensor.detach())
 
 
 def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _System:

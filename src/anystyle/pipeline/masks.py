@@ -83,8 +83,8 @@ class MaskFolder(Mask):
     """Style where masks of the photographs are white: a Gaussian has the mean of the pixels that show it.
 
     Args:
-        folder: An image named as each photograph, drawn on it as it came from the camera, or a cut-out of it; dark or
-            transparent is unstyled, and of labels 0 and 1 1 is styled.
+        folder: An image named as each photograph, drawn on it as it came from the camera; dark or transparent is
+            unstyled, and of labels 0 and 1 1 is styled.
         soft: Standard deviation of the blur of the masks, as a fraction of their shorter side.
     """
 

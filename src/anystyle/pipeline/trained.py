@@ -26,7 +26,7 @@ def trained_runs(folder: Path) -> list[Path]:
         raise UserError(f"{folder} holds no finished training of a style branch ({BRANCH}, in it or in its jobs)")
     begun = sorted((path.parent for path in folder.glob("*/.hydra")), key=lambda path: natural(path.name))
     if folders is jobs and (left := [path.name for path in begun if path not in jobs]):
-        _log.warning("%d jobs of %s have no %s and are left out: %s", len(left), folder, BRANCH, ", ".join(left))
+        _log.warning("jobs of %s without %s are left out: %s", folder, BRANCH, ", ".join(left))
     return folders
 
 

@@ -17,6 +17,7 @@ from anystyle.training.callbacks import STOPS
 from anystyle.training.collate import blurred_views, fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.sampling import any_views, bounded_views, bounds, check_sides, generator
 from anystyle.types import Style, Value, Views
+from anystyle.types.seeds import seeded
 
 logger = logging.getLogger(__name__)
 
@@ -157,8 +158,7 @@ class SceneBatches:
         if self.styles is None:
             return views, Style(), key
         # A source that crops at random draws from the global generator.
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(generator(self.seed, 9, step, row, attempt).integers(2**62)))
+        with seeded(int(generator(self.seed, 9, step, row, attempt).integers(2**62))):
             return views, self.styles.read(style), key
 
     def _size(self, step: int, size: tuple[int, int]) -> tuple[int, int]:

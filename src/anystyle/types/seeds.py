@@ -9,7 +9,12 @@ import torch
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Draw from torch's global generators as after ``seed``, and leave them as they were."""
+    before = torch.initial_seed()
     devices = range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
-    with torch.random.fork_rng(devices=devices):
-        torch.manual_seed(seed)
-        yield
+    try:
+        with torch.random.fork_rng(devices=devices):
+            torch.manual_seed(seed)
+            yield
+    finally:
+        if not devices and torch.cuda.is_initialized():  # within the block, by which its seed was taken
+            torch.cuda.manual_seed_all(before)
