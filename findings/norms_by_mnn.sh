@@ -12,8 +12,7 @@
 #   x / x.pow(2).sum(1, keepdim=True).sqrt()               equal
 # Axes of a norm are an input of the operator since opset 18, and are not read; no error or warning by the converter or
 # the run. Features that are normalised, as of perceptual metrics and of attention, are wrong everywhere. Write norms as
-# roots of sums, and compare one photograph in both before a network is shipped. The converter is called from Python:
-# the command `mnnconvert` installs a package for its log by the first `pip` in PATH, outside of the environment, too.
+# roots of sums, and compare one photograph in both before a network is shipped.
 set -euo pipefail
 cd "$(mktemp -d)"
 trap "rm -rf '$PWD'" EXIT

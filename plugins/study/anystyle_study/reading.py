@@ -152,6 +152,7 @@ def _answers(
             if not row[name]:
                 raise UserError(f"{where}: {name} is empty; expected a name")
         method = _choice(row, "method", ("ours", "theirs"), where, optional=True)
+        # The design says where ours was, but a cell that is filled must be a side.
         unplaced = not math.isnan(expected) or (bool(method) if study is None else not row.get("ours_is"))
         side = _choice(row, "ours_is", ("A", "B"), where, optional=unplaced)
         if study is None:

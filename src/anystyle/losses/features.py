@@ -70,7 +70,7 @@ def resized(images: Float[Tensor, "M 3 H W"], side: int | None, mode: str, *, an
 
 _KEPT: MutableMapping[Tensor, tuple[object, LRUCache[tuple[object, ...], list[Tensor]]]] = WeakIdKeyDictionary()
 _MOST = 64
-"""Results that are kept of one tensor; with networks that learn each is another."""
+"""How many results are kept for one tensor; those of a network that learns are never asked for again."""
 
 
 @torch.no_grad()
@@ -80,7 +80,7 @@ def features_to_compare(
     """What ``compute`` gives for images ``M 3 H W``, kept as long as they are: a scene has the same in all its steps.
 
     The ``key`` is everything else that the result depends on: network, layers, size. Whether images have changed is
-    known by their values on a CPU, and elsewhere, where these would be waited for, by PyTorch's count of writes.
+    known by their values on a CPU, and elsewhere, where these would be waited for, by PyTorch's version counter.
     """
     rows = images.flatten(0, -4)
     values = digests(rows) if images.device.type == "cpu" else 0 if images.is_inference() else images._version

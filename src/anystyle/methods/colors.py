@@ -320,7 +320,7 @@ _VIEWS: LRUCache[tuple[object, ...], tuple[Gaussians, Renderer, dict[bytes, Line
 
 
 def _frozen(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians without gradients; what learns is copied, for fused optimisers raise no version of what is kept."""
+    """The Gaussians without gradients. Tensors that learn are copied: not every step raises their version counter."""
     return gaussians.map(lambda tensor: tensor.detach().clone() if tensor.requires_grad else tensor.detach())
 
 

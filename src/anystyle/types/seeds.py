@@ -16,5 +16,5 @@ def seeded(seed: int) -> Iterator[None]:
             torch.manual_seed(seed)
             yield
     finally:
-        if not devices and torch.cuda.is_initialized():  # within the block, by which its seed was taken
+        if not devices and torch.cuda.is_initialized():  # in the block, with the block's seed
             torch.cuda.manual_seed_all(before)

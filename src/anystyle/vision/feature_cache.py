@@ -84,9 +84,9 @@ _NEXT = count()
 
 
 def identity(network: nn.Module) -> str:
-    """The same for the same module with the same weights, in this process; weights that learn never are the same.
+    """The same for the same module with the same weights, in this process; a new one at every call if any can learn.
 
-    Fused optimisers do not raise PyTorch's count of writes to a tensor.
+    Fused optimisers do not raise PyTorch's version counter, so that a step of theirs would not be seen.
     """
     weights = [*network.parameters(), *network.buffers()]
     if network not in _NUMBERS or any(tensor.requires_grad for tensor in weights):
