@@ -166,7 +166,7 @@ def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[SceneArrays]
 
 
 _SHAPES: list[tuple[Tensor, Tensor, list[np.ndarray]]] = []
-"""Copies of the last rotations and scales, with their covariances: not every write raises a tensor's version counter."""
+"""Copies of the last rotations and scales, with their covariances; not every write raises a version counter."""
 
 
 def _shaped(scenes: list[SceneArrays], tensors: list[Tensor], run: stages.Mapper) -> list[SceneArrays]:
