@@ -135,8 +135,14 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     shown = SeenScene([SourceImage.covering("one", size, size)], cameras, TorchRenderer())
     weights = MaskFolder(tmp_path).weights(gaussians, shown)[0]
     assert weights.shape == (4,) and weights[:2].max() < 0.02 and weights[2:].min() > 0.98
-    Image.fromarray(mask // 255).save(tmp_path / "one.png")  # labels
-    assert torch.equal(MaskFolder(tmp_path).weights(gaussians, shown)[0], weights)
+    palette = Image.fromarray(mask // 255, "P")
+    palette.putpalette([0, 0, 0, 128, 0, 0])  # as of segmented films
+    for labels in (Image.fromarray(mask // 255), Image.fromarray(mask // 85), palette):
+        labels.save(tmp_path / "one.png")
+        assert torch.equal(MaskFolder(tmp_path).weights(gaussians, shown)[0], weights)
+    Image.fromarray(mask.astype(np.uint16) // 255).save(tmp_path / "one.png")
+    with pytest.raises(ValueError, match="its largest level is 1 of 65535; save labels with 8 bits"):
+        MaskFolder(tmp_path).weights(gaussians, shown)
     Image.fromarray(np.dstack([255 - mask, mask])).save(tmp_path / "one.png")  # dark where it is opaque
     assert MaskFolder(tmp_path).weights(gaussians, shown).max() < 0.02
     photograph = tmp_path.with_suffix(".jpg")

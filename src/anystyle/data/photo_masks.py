@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image, ImageChops
@@ -14,12 +15,15 @@ from torch import Tensor
 from anystyle.data.images import SUFFIXES, image_size, open_alpha, open_image, to_tensor
 from anystyle.errors import UserError, listing
 from anystyle.io import video
+from anystyle.io.images import opened
 from anystyle.types import Original, SourceImage, Views
 
 MAX_ASPECT_ERROR = 0.02
 """A mask may differ by this fraction from its photograph's aspect."""
 WHITE = 0.98
 """Of a mask that is scaled: a pixel that is darker lies at an edge, and does not count."""
+MAX_LABELS, COMPRESSED = 32, 16
+"""Grey levels are labels where all are below this; what JPEG makes of black is not above this."""
 FEW = 0.2
 """Masks that leave a smaller share of the pixels may be inverted."""
 
@@ -129,15 +133,23 @@ def _mask_of(masks: Mapping[Path, Path], path: Path | None) -> Image.Image | Non
 
 
 def open_mask(file: Path, photograph: Path | None) -> Image.Image:
-    """The grey levels of a mask; what is transparent is black, and of labels 0 and 1 1 is white.
+    """The grey levels of a mask, or of a segmentation, which is black at label 0 and in black, and white elsewhere.
 
-    A UserError says that it has not the aspect of the upright photograph, where that is still there.
+    A segmentation has colours, as the palettes of video segmentation, or levels below 32. What is transparent is black.
+    A UserError says that a mask has not the aspect of the upright photograph, where that is still there.
     """
-    mask, alpha = open_image(file).convert("L"), open_alpha(file)
+    shown, alpha = open_image(file), open_alpha(file)
+    mask = shown.convert("HSV").getchannel("V")
+    colored = bool(np.ptp(np.asarray(shown.convert("YCbCr"))[..., 1:], axis=(0, 1)).max() > 2 * COMPRESSED)
+    if colored or np.asarray(mask).max() < MAX_LABELS:
+        mask = mask.point([0] * (1 + COMPRESSED * colored) + [255] * (255 - COMPRESSED * colored))
+    if not mask.getbbox():
+        with opened(file) as image:
+            if image.mode.startswith("I;16") and (most := np.asarray(image).max()):
+                raise UserError(f"{file} is black: its largest level is {most} of 65535; save labels with 8 bits")
     if photograph is not None and photograph.is_file():
         width, height = image_size(photograph)
         if abs(mask.width * height / (mask.height * width) - 1) > MAX_ASPECT_ERROR:
             sizes = f"has {mask.width}x{mask.height} pixels, and {photograph.name} {width}x{height}, upright"
             raise UserError(f"the mask {file} {sizes}; give a mask of the same aspect")
-    levels = mask if alpha is None else ImageChops.multiply(mask, alpha)
-    return levels.point(lambda level: 255 * level) if levels.getextrema()[1] == 1 else levels
+    return mask if alpha is None else ImageChops.multiply(mask, alpha)
