@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, listing, unknown
 from anystyle_study.answers import Answer, Records
 from anystyle_study.cells import AnswerColumn, plain, scale_words
 from anystyle_study.files import plain_name, read_sheet
@@ -52,7 +52,12 @@ def read_responses(
     files = [file for path in paths for file in _files(path)]
     if not files:
         raise UserError("no file of responses is given; name CSV or JSON files, or a folder of them")
-    tables = {file: _rows(file, wide=wide, columns=columns, study=study) for file in files}
+    read = {file: _rows(file, wide=wide, columns=columns, study=study) for file in files}
+    tables = {file: rows for file, rows in read.items() if rows[0]}
+    if not tables:
+        raise UserError(f"there are no answers in {listing([file.name for file in files])}; expected one per row")
+    if len(tables) < len(read):
+        log.warning("left out without answers: %s", listing([file.name for file in read if file not in tables]))
     if sessions:
         for file, (table, _) in tables.items():
             for row in table:
@@ -103,6 +108,8 @@ def _files(path: Path) -> list[Path]:
 def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) -> tuple[list[_Row], bool]:
     """The rows of a file, all with the same columns and their place under ``""``; whether semicolons part its cells."""
     sheet = read_sheet(path)
+    if not sheet.rows:
+        return [], sheet.semicolons
     names = [plain_name(name) if plain_name(name) in _KNOWN else name for name in sheet.names]
     missing = [name for name in REQUIRED if name not in names]
     if missing and (wide or columns):
@@ -123,8 +130,6 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
             told = "%s: %d rows without item, question and score are left out as other trials, such as %s"
             log.warning(told, path.name, len(others), others[0])
         table = list(filter(_is_answer, table))
-    if not table:
-        raise UserError(f"{path.name} holds a header and no answers; expected one answer per row")
     return table, sheet.semicolons
 
 

@@ -45,7 +45,7 @@ def test_positions_are_undone(tmp_path, rows):
     assert not checks.findings
 
 
-def test_every_format_says_the_same(tmp_path, rows):
+def test_every_format_says_the_same(tmp_path, rows, caplog):
     names = ("participant", "item", "question", "score", "ours_is")
     write_csv(tmp_path / "long.csv", rows)
     lines = [";".join(map(str, row)) for row in ([name.upper() for name in names], *rows)]
@@ -61,8 +61,10 @@ def test_every_format_says_the_same(tmp_path, rows):
         (tmp_path / "people" / f"{person}.json").write_text(json.dumps({"participant": person, "responses": answers}))
     files = sorted(tmp_path.iterdir())
     assert len(files) == 7
+    (tmp_path / "people" / "gone.json").write_text(json.dumps({"participant": "gone", "responses": []}))
     for file in files:
         assert agree(judged(file)[1], rows), file.name
+    assert "left out without answers: gone.json" in caplog.text
     assert read_responses([tmp_path / "more.csv"]).unused == ("remark",)
 
 
