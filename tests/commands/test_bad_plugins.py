@@ -1,22 +1,18 @@
 """Bad plugins in use, by the program as people start it: one line that says what is wrong with which, and status 2."""
 
-import json
 import re
-import subprocess
-import sys
 from collections import UserList
 from contextlib import ExitStack
-from pathlib import Path
-from textwrap import dedent
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from anystyle.cli.run import name_plugin
 from anystyle.registry.catalog import Plugin
+from tests.support.bad_plugins import ends, write_plugin
+from tests.support.pictures import save
+from tests.support.program import Done
 
-ROOT = Path(__file__).parents[2]
 TOY = """
 from dataclasses import replace
 
@@ -57,33 +53,17 @@ BAD = {
 """Code, and what is said of it."""
 
 
-RUN = """
-import json, os, sys
-from pathlib import Path
-from tests.support.program import program
-root, words, *names = sys.argv[1:]
-ended = {}
-for name in names:
-    done = program(words.split(), Path(root), {**os.environ, "ANYSTYLE_PLUGINS": str(Path(root, name))})
-    ended[name] = done.status, done.err
-print(json.dumps(ended))
-"""
 WORDS = "stylize photo.png --text dots ~model backbone=mine views.short_side=56 video.frames=2"
 
 
 @pytest.fixture(scope="module")
-def ended(tmp_path_factory) -> dict[str, tuple[int, str]]:
-    """The status and the errors of the program with each plugin, in a process in which nothing else checks types."""
+def ended(tmp_path_factory) -> dict[str, Done]:
+    """How the program ends with each plugin."""
     root = tmp_path_factory.mktemp("bad")
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, (56, 72, 3), dtype=np.uint8)).save(root / "photo.png")
+    save(root / "photo.png", np.random.default_rng(0).integers(0, 255, (56, 72, 3), dtype=np.uint8))
     for name, (code, _) in BAD.items():
-        folder = root / name / "plugin"
-        folder.mkdir(parents=True)
-        (folder / f"bad_{name}.py").write_text(dedent(code))
-        line = f'mine = "bad_{name}:Mine"'
-        (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.backbone"]\n{line}\n')
-    command = [sys.executable, "-c", RUN, str(root), WORDS, *BAD]
-    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
+        write_plugin(root / name, "backbone", code, "mine")
+    return ends(root, dict.fromkeys(BAD, WORDS))
 
 
 class Idle:
@@ -131,7 +111,7 @@ def test_an_error_is_blamed_on_the_plugin_at_work(call, told, monkeypatch):
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_backbone_ends_in_one_line_about_it(name, ended):
-    status, errors = ended[name]
+    status, _, errors = ended[name]
     assert status == 2, errors
     lines = (line for line in errors.splitlines() if not line.endswith("…"))
     (line,) = (line for line in lines if " is untrained and " not in line)

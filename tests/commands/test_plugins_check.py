@@ -1,15 +1,12 @@
 """`anystyle plugins check` on bad plugins: each ends in a finding of its own, in plain words."""
 
 import os
-import subprocess
-import sys
-from pathlib import Path
-from textwrap import dedent
 
 import pytest
 
 from anystyle.commands import plugins_check
-from tests.support.program import program
+from tests.support.bad_plugins import ends, write_plugin
+from tests.support.program import Done, program
 
 IMPORTS = """
 from dataclasses import replace
@@ -83,54 +80,25 @@ BAD = {
 }  # fmt: skip
 
 
-def write(root: Path, name: str, kind: str, code: str, plugin: str | None = None) -> None:
-    folder = root / name
-    folder.mkdir()
-    (folder / f"bad_{name}.py").write_text(IMPORTS + dedent(code))
-    line = f'{plugin or name} = "bad_{name}:Mine"'
-    (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.{kind}"]\n{line}\n')
-
-
-RUN = """
-import sys
-from anystyle.commands import plugins_check
-for kind, name in zip(sys.argv[1::2], sys.argv[2::2]):
-    print("=", name, plugins_check.main([kind, name]))
-"""
-
-
 @pytest.fixture(scope="module")
-def reports(tmp_path_factory) -> dict[str, tuple[str, str]]:
-    """The report on each bad plugin and its status, from a process in which nothing else checks types."""
+def reports(tmp_path_factory) -> dict[str, Done]:
+    """How the check of each bad plugin ends."""
     root = tmp_path_factory.mktemp("bad")
     for name, (kind, code, _) in BAD.items():
-        write(root, name, kind, code)
-    words = [word for name, (kind, *_) in BAD.items() for word in (kind, name)]
-    environment = {**os.environ, "ANYSTYLE_PLUGINS": str(root)}
-    done = subprocess.run([sys.executable, "-c", RUN, *words], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    reports: dict[str, tuple[str, str]] = {}
-    lines: list[str] = []
-    for line in done.stdout.splitlines():
-        if line.startswith("= "):
-            _, name, status = line.split()
-            reports[name] = (status, "\n".join(lines))
-            lines = []
-        else:
-            lines.append(line)
-    return reports
+        write_plugin(root / name, kind, IMPORTS + code, name)
+    return ends(root, {name: f"plugins check {kind} {name}" for name, (kind, *_) in BAD.items()})
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_plugin_has_a_finding_of_its_own(name, reports):
     kind, _, told = BAD[name]
-    status, text = reports[name]
-    assert status == "2"
+    status, text, errors = reports[name]
+    assert status == 2 and "Traceback" not in errors
     assert text.startswith(f"{kind} '{name}' (bad_{name}:Mine, declared by ") and told in " ".join(text.split())
 
 
 def test_nothing_is_checked_after_what_is_needed(reports):
-    assert reports["abstract"][1].splitlines()[-1].startswith("0 promises kept, 1 broken, 11 not checked, in ")
+    assert reports["abstract"].out.splitlines()[-1].startswith("0 promises kept, 1 broken, 11 not checked, in ")
 
 
 def test_a_good_plugin_ends_with_0(capsys):
@@ -141,11 +109,6 @@ def test_a_good_plugin_ends_with_0(capsys):
     assert lines[-1].startswith(f"{len(lines) - 2} promises kept, in ")
 
 
-def test_exit_statuses_reach_the_shell(tmp_path):
-    write(tmp_path, "wordless", "placement", BAD["undescribed"][1])
-    environment = {**os.environ, "ANYSTYLE_PLUGINS": str(tmp_path)}
-    for name, status in (("wordless", 2), ("nobody", 2)):
-        done = program(["plugins", "check", "placement", name], tmp_path, environment)
-        assert done.status == status, done.out + done.err
-        assert "Traceback" not in done.err
-    assert done.err.startswith("anystyle: error: no placement is named 'nobody'.")
+def test_a_plugin_that_nobody_declares_is_told(tmp_path):
+    done = program(["plugins", "check", "placement", "nobody"], tmp_path, os.environ)
+    assert done.status == 2 and done.err.startswith("anystyle: error: no placement is named 'nobody'.")
