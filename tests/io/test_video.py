@@ -8,6 +8,7 @@ import torch
 from anystyle.data.folder import read_originals
 from anystyle.io.video import read_frames, write_video
 from anystyle_captures.sfm.model import Photograph
+from tests.support.films import write_film
 
 
 def test_a_video_has_every_frame_in_its_colours(tmp_path):
@@ -93,11 +94,7 @@ def test_a_film_of_high_dynamic_range_says_so(tmp_path, caplog):
 
 @pytest.mark.parametrize(("codec", "pixels"), [("libvpx-vp9", "yuva420p"), ("ffv1", "bgra"), ("ffv1", "yuv420p")])
 def test_a_film_with_transparency_says_that_it_is_not_used(codec, pixels, tmp_path, caplog):
-    with av.open(str(tmp_path / "a.mkv"), "w") as container:
-        stream = container.add_stream(codec, rate=5)
-        stream.width, stream.height, stream.pix_fmt = 96, 64, pixels
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((64, 96, 4), np.uint8), format="rgba")))
-        container.mux(stream.encode())
+    write_film(tmp_path / "a.mkv", [np.zeros((64, 96, 4), np.uint8)], codec, rate=5, pixels=pixels)
     assert read_frames(tmp_path / "a.mkv", 1) and ("has an alpha channel" in caplog.text) == (pixels != "yuv420p")
 
 
@@ -105,13 +102,7 @@ def test_a_film_with_transparency_says_that_it_is_not_used(codec, pixels, tmp_pa
 @pytest.mark.parametrize("count", [48, 47, 24])
 def test_as_many_frames_as_asked_for_are_read(tmp_path, suffix, codec, count):
     path = tmp_path / f"a.{suffix}"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=30)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for number in range(48):
-            pixels = np.full((48, 64, 3), 5 * number, np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
-        container.mux(stream.encode())
+    write_film(path, [np.full((48, 64, 3), 5 * number, np.uint8) for number in range(48)], codec, rate=30)
     assert len(read_frames(path, count)) == count
 
 
@@ -119,17 +110,14 @@ def test_as_many_frames_as_asked_for_are_read(tmp_path, suffix, codec, count):
 def test_pixels_that_are_not_square_are_widened(tmp_path, rotation, caplog):
     """A circle as it is shown, stored by pixels four thirds as wide as high, is a circle in the frames."""
     path, aspect = tmp_path / "a.mp4", Fraction(4, 3)
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=10)
-        stream.width, stream.height, stream.pix_fmt = 160, 120, "yuv420p"
+
+    def turned(stream: av.VideoStream) -> None:
         stream.codec_context.sample_aspect_ratio = aspect
         stream.set_display_rotation(rotation)
-        rows, columns = np.mgrid[:120, :160]
-        inside = ((columns - 80) * float(aspect)) ** 2 + (rows - 60.0) ** 2 < 40**2
-        pixels = np.where(inside[..., None], 0, 255).astype(np.uint8).repeat(3, -1)
-        for _ in range(4):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
-        container.mux(stream.encode())
+
+    rows, columns = np.mgrid[:120, :160]
+    inside = ((columns - 80) * float(aspect)) ** 2 + (rows - 60.0) ** 2 < 40**2
+    write_film(path, 4 * [np.where(inside[..., None], 0, 255).astype(np.uint8).repeat(3, -1)], rate=10, prepare=turned)
     ((_, image),) = read_frames(path, 1)
     assert sorted(image.size) == [120, 213]
     dark = np.asarray(image.convert("L")) < 128
