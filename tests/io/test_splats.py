@@ -65,7 +65,7 @@ def test_a_file_of_nothing_else_is_refused(tmp_path):
         Gaussians.load(write_ply(tmp_path / "scene.ply", values))
 
 
-@pytest.mark.parametrize("order", ["<", ">", "ascii"])
+@pytest.mark.parametrize("order", ["<", ">", ""])
 @pytest.mark.parametrize("header", ["comment scène de Noël\n".encode(), "comment scène de Noël\n".encode("latin-1")])
 def test_comments_are_in_any_encoding(header, order, tmp_path):
     expected = Gaussians.load(write_ply(tmp_path / "clean.ply", columns(), order=order))
@@ -106,7 +106,7 @@ def positions(path):
     return np.stack([data["vertex"][axis].astype(np.float64) + float(offsets[f"offset{axis}"]) for axis in "xyz"], 1)
 
 
-@pytest.mark.parametrize("order", ["<", ">", "ascii"])
+@pytest.mark.parametrize("order", ["<", ">", ""])
 def test_points_on_the_globe_stay_apart_and_get_their_offset_back(order, tmp_path, caplog):
     values, path = globe(tmp_path / "globe.ply", order)
     truth = np.stack([values[axis] for axis in "xyz"], 1)

@@ -10,7 +10,7 @@ import itertools
 import json
 import struct
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -115,11 +115,19 @@ def ply(
     *,
     before: tuple[tuple[str, bytes], ...] = (),
     after: tuple[tuple[str, bytes], ...] = (),
-    comments: str = "",
+    comments: bytes = b"",
 ) -> bytes:
-    parts = [*before, element("vertex", values, kinds or {}, order), *after]
-    head = f"ply\nformat {FORMATS[order]} 1.0\n{comments}" + "".join(lines for lines, _ in parts) + "end_header\n"
-    return head.encode() + b"".join(data for _, data in parts)
+    return joined([*before, element("vertex", values, kinds or {}, order), *after], order, comments)
+
+
+def joined(parts: Sequence[tuple[str, bytes]], order: str, comments: bytes = b"") -> bytes:
+    """A file of elements."""
+    start, lines = f"ply\nformat {FORMATS[order]} 1.0\n", "".join(lines for lines, _ in parts)
+    return start.encode() + comments + lines.encode() + b"end_header\n" + b"".join(data for _, data in parts)
+
+
+def plain(values: Mapping[str, Array]) -> Strange:
+    return Strange(ply(values), held_by(values))
 
 
 def header(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
@@ -294,15 +302,6 @@ def strange_rows() -> Iterator[Case]:
     for what, (change, line) in table.items():
         yield f"{what}.ply", changed(change, line)
 
-    def opposite() -> Strange:
-        values = columns(1)
-        values |= {f"rot_{index}": -3 * values[f"rot_{index}"] for index in range(4)}
-        return Strange(ply(values), held_by(values))
-
-    def still() -> Strange:
-        values = columns(0) | {f"rot_{index}": np.zeros(COUNT) for index in range(4)}
-        return Strange(ply(values), held_by(values))
-
     def flat() -> Strange:
         values = columns(2)
         held = held_by(values)
@@ -329,8 +328,10 @@ def strange_rows() -> Iterator[Case]:
         moved = Held(held.means - offset, held.rotations, held.scales, held.opacities, held.harmonics, (x, y, z))
         return Strange(ply(values, kinds=dict.fromkeys("xyz", "f8")), moved, (line,))
 
-    yield "quaternions of other signs and lengths.ply", opposite
-    yield "quaternions of 0.ply", still
+    turns = {name: column for name, column in columns(1).items() if name.startswith("rot_")}
+    opposite = {name: -3 * column for name, column in turns.items()}
+    yield "quaternions of other signs and lengths.ply", lambda: plain(columns(1) | opposite)
+    yield "quaternions of 0.ply", lambda: plain(columns(0) | dict.fromkeys(turns, np.zeros(COUNT)))
 
     def uneven() -> Strange:
         """Four coefficients a colour above the constant one: degree 1 takes three."""
@@ -345,7 +346,7 @@ def strange_rows() -> Iterator[Case]:
     yield "lengths and fractions.ply", lengths
     yield "coordinates of UTM.ply", globe
     for count in (1, 2):
-        yield f"{count} rows.ply", lambda count=count: Strange(ply(columns(3, count)), held_by(columns(3, count)))
+        yield f"{count} rows.ply", lambda count=count: plain(columns(3, count))
 
 
 def refused_plys() -> Iterator[Case]:
@@ -413,8 +414,7 @@ def compressed() -> Iterator[Case]:
         parts = [element("chunk", chunk, {}, order), element("vertex", words, dict.fromkeys(words, "u4"), order)]
         if rest:
             parts.append(element("sh", rest, dict.fromkeys(rest, "u1"), order))
-        head = f"ply\nformat {FORMATS[order]} 1.0\n" + "".join(lines for lines, _ in parts) + "end_header\n"
-        return Strange(head.encode() + b"".join(data for _, data in parts), opaque)
+        return Strange(joined(parts, order), opaque)
 
     for degree in range(4):
         yield f"degree {degree}.compressed.ply", lambda degree=degree: packed(degree)
