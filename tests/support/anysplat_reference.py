@@ -10,8 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone
+from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.testing.oracle import hashed
-from anystyle.types import Attributes, Gaussians, Scene
+from anystyle.types import Attributes, Gaussians, Scene, Site
 from tests.support import oracle
 from tests.support.oracle import fill_sorted
 
@@ -29,6 +30,10 @@ def fill(module: nn.Module, names: Callable[[Sequence[str]], Mapping[str, str]],
 def style_vector(index: int = 6 + 1000, rows: int = 1) -> Tensor:
     """The style that goldens were computed with: unit rows of hashed numbers."""
     return torch.nn.functional.normalize(hashed(index, (rows, 512), -1, 1), dim=-1)
+
+
+def published_injector(site: Site) -> ZeroConv:
+    return ZeroConv(dim=site.dim, style_dim=512, hidden=256 if site.name == "head/direct" else 1024)
 
 
 def raw_maps(attributes: Attributes) -> Tensor:

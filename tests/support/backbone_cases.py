@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from anystyle.contracts import Backbone
 from anystyle.registry.catalog import catalog
@@ -32,3 +33,13 @@ def same(left: Any, right: Any, **tolerance: float) -> None:
     for one, other in zip(torch.utils._pytree.tree_leaves(left), torch.utils._pytree.tree_leaves(right), strict=True):
         if isinstance(one, torch.Tensor):
             torch.testing.assert_close(one, other, **tolerance)
+
+
+def tally(names: dict[str, str], state: dict[str, Tensor]) -> dict[str, tuple[int, int]]:
+    """Keys and parameters of each part of a published file, whose name begins those of its tensors."""
+    parts: dict[str, tuple[int, int]] = {}
+    for key, name in names.items():
+        part = name.partition(".")[0]
+        count, size = parts.get(part, (0, 0))
+        parts[part] = (count + 1, size + state[key].numel())
+    return parts

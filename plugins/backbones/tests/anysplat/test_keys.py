@@ -2,14 +2,12 @@
 
 import pytest
 import torch
-from torch import Tensor
 
 from anystyle.branch import StyleBranch
-from anystyle.injectors.zero_conv import ZeroConv
-from anystyle.types import Site
 from anystyle_backbones.anysplat import AnySplat, keys
-from tests.support.backbone_cases import network
-from tests.support.weights_cases import PLACEMENTS, STYLE_DIM, small_checkpoint
+from tests.support.anysplat_reference import published_injector
+from tests.support.backbone_cases import network, tally
+from tests.support.weights_cases import PLACEMENTS, small_checkpoint
 
 # Numbers of keys and parameters of the published modules; the embedder's unused mask token is the only key we lack.
 PUBLISHED = {
@@ -25,10 +23,6 @@ STYLED = {
 CHECKPOINTS = keys.AnySplatCheckpoints()
 
 
-def published_injector(site: Site) -> ZeroConv:
-    return ZeroConv(dim=site.dim, style_dim=STYLE_DIM, hidden=256 if site.name == "head/direct" else 1024)
-
-
 def branch_on(backbone: AnySplat, placement: str) -> StyleBranch:
     sites = PLACEMENTS[placement].select(backbone.sites)
     return StyleBranch(backbone, sites=sites, make_injector=published_injector)
@@ -38,15 +32,6 @@ def branch_on(backbone: AnySplat, placement: str) -> StyleBranch:
 def full_size() -> AnySplat:
     with torch.device("meta"):
         return AnySplat()
-
-
-def tally(names: dict[str, str], state: dict[str, Tensor]) -> dict[str, tuple[int, int]]:
-    parts: dict[str, tuple[int, int]] = {}
-    for key, name in names.items():
-        part = name.partition(".")[0]
-        count, size = parts.get(part, (0, 0))
-        parts[part] = (count + 1, size + state[key].numel())
-    return parts
 
 
 def test_the_defaults_are_the_published_network(full_size: AnySplat) -> None:

@@ -53,12 +53,7 @@ def test_styled_gaussian_head_at_full_width() -> None:
     head = GaussianHead(
         decoder, torch.nn.Conv2d(3, decoder.width, 7, padding=3), sh_degree=4, taps=(0, 1, 2, 3), chunk=4
     )
-    injectors = torch.nn.ModuleDict(
-        {
-            site.name: ZeroConv(dim=site.dim, style_dim=512, hidden=256 if site.name == "head/direct" else 1024)
-            for site in head.sites
-        }
-    )
+    injectors = torch.nn.ModuleDict({site.name: reference.published_injector(site) for site in head.sites})
     parts = torch.nn.ModuleDict({"gaussian_head": head, "injectors": injectors})
     assert reference.fill(parts, keys.branch_names, published="gaussian_param_head_style.") == record["n_keys"]
     levels = {

@@ -12,6 +12,7 @@ from anystyle.testing.oracle import smooth_image
 from anystyle.types import Views
 from anystyle_backbones.depth_anything import DepthAnything, keys
 from tests.support import depth_anything_reference as reference
+from tests.support.backbone_cases import tally
 
 # Keys and parameters of the published modules: trunk, depth decoder, camera decoder, and the one Gaussian head.
 PUBLISHED = {
@@ -36,11 +37,7 @@ def preset(name: str) -> DepthAnything:
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_presets_are_the_published_networks(name: str) -> None:
     state = preset(name).state_dict()
-    found: dict[str, tuple[int, int]] = {}
-    for key, published in keys.backbone_names(state).items():
-        part = published.partition(".")[0]
-        count, size = found.get(part, (0, 0))
-        found[part] = (count + 1, size + state[key].numel())
+    found = tally(keys.backbone_names(state), state)
     assert {part: found[part] for part in PUBLISHED[name]} == PUBLISHED[name]
 
 

@@ -1,7 +1,7 @@
 """The whole network, from pixels to Gaussians, against the published implementation."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
@@ -40,16 +40,14 @@ def tiny() -> Parts:
 def watched(modules: Mapping[str, nn.Module]) -> Iterator[dict[str, tuple[Tensor, Tensor]]]:
     """The input and output of each module when it is called for the first time."""
     seen: dict[str, tuple[Tensor, Tensor]] = {}
-    handles = []
-    for name, module in modules.items():
+    with ExitStack() as hooks:
+        for name, module in modules.items():
 
-        def keep(_module: nn.Module, given: Any, output: Any, name: str = name) -> None:
-            seen.setdefault(name, (given[0], output))
+            def keep(_module: nn.Module, given: Any, output: Any, name: str = name) -> None:
+                seen.setdefault(name, (given[0], output))
 
-        handles.append(module.register_forward_hook(keep))
-    yield seen
-    for handle in handles:
-        handle.remove()
+            hooks.enter_context(module.register_forward_hook(keep))
+        yield seen
 
 
 @torch.no_grad()
