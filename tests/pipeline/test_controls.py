@@ -22,24 +22,15 @@ from anystyle.pipeline.words import request
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Original, SourceImage
 from anystyle_captures.structure_from_motion import StructureFromMotion
+from tests.support import scenes
 from tests.support.cards import World, arc
+from tests.support.pictures import picture
 
 VIEWS = ViewOptions(short_side=56, take=3)
 
 
-def gaussians_of(count=40, coefficients=4, seed=0):
-    generator = torch.Generator().manual_seed(seed)
-    return Gaussians(
-        means=torch.randn(1, count, 3, generator=generator),
-        rotations=torch.randn(1, count, 4, generator=generator),
-        scales=torch.rand(1, count, 3, generator=generator) * 0.1,
-        opacities=torch.rand(1, count, generator=generator),
-        harmonics=torch.randn(1, count, coefficients, 3, generator=generator) * 0.2,
-    )
-
-
 def test_the_ends_of_strength_have_the_bits_of_each_scene():
-    first, second = gaussians_of(), gaussians_of(seed=1)
+    first, second = scenes.gaussians(1, 40, 1), scenes.gaussians(1, 40, 1, seed=1)
     mixed = blended(first, second, (torch.arange(40) % 2)[None].float())
     for item in fields(Gaussians):
         one, two, both = (getattr(value, item.name) for value in (first, second, mixed))
@@ -47,7 +38,7 @@ def test_the_ends_of_strength_have_the_bits_of_each_scene():
 
 
 def test_halfway_is_the_middle_of_colours_and_the_middle_rotation():
-    first, second = gaussians_of(coefficients=1), gaussians_of(seed=1)
+    first, second = scenes.gaussians(1, 40), scenes.gaussians(1, 40, 1, seed=1)
     middle = blended(first, second, 0.5)
     torch.testing.assert_close(middle.harmonics[:, :, 0], (first.harmonics + second.harmonics[:, :, :1])[:, :, 0] / 2)
     torch.testing.assert_close(middle.harmonics[:, :, 1:], second.harmonics[:, :, 1:] / 2)
@@ -60,11 +51,11 @@ def test_halfway_is_the_middle_of_colours_and_the_middle_rotation():
 
 def test_scenes_of_different_sizes_are_not_blended():
     with pytest.raises(ValueError, match="40 and 41 Gaussians"):
-        blended(gaussians_of(), gaussians_of(count=41), 0.5)
+        blended(scenes.gaussians(1, 40), scenes.gaussians(1, 41), 0.5)
 
 
 def test_preserved_colours_have_the_styles_brightness_and_the_scenes_hues_from_every_direction():
-    scene, styled = gaussians_of(coefficients=1), gaussians_of(coefficients=9, seed=1)
+    scene, styled = scenes.gaussians(1, 40), scenes.gaussians(1, 40, 2, seed=1)
     kept = with_colors_of(scene, styled)
     directions = torch.nn.functional.normalize(
         torch.randn(1, 40, 3, generator=torch.Generator().manual_seed(2)), dim=-1
@@ -97,7 +88,7 @@ def test_strokes_grow_as_the_scale_says():
 
 
 def test_signed_distances_of_a_sphere_and_a_box():
-    gaussians = gaussians_of(count=200)
+    gaussians = scenes.gaussians(1, 200)
     shown = SeenScene([], Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (2, 2)), TorchRenderer())
     points = gaussians.means[0]
     ball = Sphere((0.1, 0.2, 0.3), 1.0).weights(gaussians, shown)[0]
@@ -122,7 +113,7 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     size = (48, 64)
     x = torch.tensor([-0.4, -0.2, 0.2, 0.4])
     gaussians = replace(
-        gaussians_of(count=4),
+        scenes.gaussians(1, 4),
         means=torch.stack([x, torch.zeros(4), torch.full((4,), 2.0)], 1)[None],
         scales=torch.full((1, 4, 3), 0.03),
         opacities=torch.full((1, 4), 0.9),
@@ -246,8 +237,7 @@ def test_several_styles_share_a_scene_by_place_or_by_attribute(photographs, tmp_
 
 def test_masks_lie_in_the_folders_of_photographs_or_are_named_as_views(tmp_path):
     for name in ("photos/cam0/1.png", "photos/cam1/1.png", "masks/cam0/1.png", "masks/cam1/1.png"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        Image.new("RGB", (64, 48)).save(tmp_path / name)
+        picture(tmp_path / name, 0, (64, 48))
     _, sources = read_views([tmp_path / "photos"], short_side=48, multiple=16, max_views=8)
     assert mask_files(tmp_path / "masks", sources) == [tmp_path / "masks" / f"cam{n}" / "1.png" for n in (0, 1)]
     for number in (0, 1):

@@ -10,7 +10,8 @@ from anystyle.geometry import harmonics
 from anystyle.geometry.transforms import Similarity, matrix_from_wxyz
 from anystyle.pipeline.encode import Group, cameras_of, encode_groups, split, with_cameras
 from anystyle.testing.toy.backbone import ToyBackbone
-from anystyle.types import Gaussians, Geometry, Scene, Views
+from anystyle.types import Geometry, Scene, Views
+from tests.support.scenes import gaussians
 
 
 def views(count):
@@ -39,21 +40,13 @@ def test_groups_that_cannot_be(size, overlap):
 
 
 def test_moved_gaussians_look_the_same_from_moved_directions():
-    generator = torch.Generator().manual_seed(1)
-    scene = Gaussians(
-        means=torch.randn(1, 6, 3, generator=generator),
-        rotations=torch.nn.functional.normalize(torch.randn(1, 6, 4, generator=generator), dim=-1),
-        scales=torch.rand(1, 6, 3, generator=generator),
-        opacities=torch.rand(1, 6, generator=generator),
-        harmonics=torch.randn(1, 6, 9, 3, generator=generator),
-    )
-    where = change()
+    scene, where = gaussians(1, 6, 2), change()
     after = where.gaussians(scene)
     torch.testing.assert_close(after.means, where.scale * scene.means @ where.rotation.mT + where.translation)
     expected = where.rotation @ matrix_from_wxyz(scene.rotations)
     torch.testing.assert_close(matrix_from_wxyz(after.rotations), expected, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(after.scales, where.scale * scene.scales)
-    direction = torch.nn.functional.normalize(torch.randn(1, 6, 3, generator=generator), dim=-1)
+    direction = torch.nn.functional.normalize(torch.randn(1, 6, 3, generator=torch.Generator().manual_seed(1)), dim=-1)
     seen = harmonics.colors(scene.harmonics, direction)
     torch.testing.assert_close(
         harmonics.colors(after.harmonics, direction @ where.rotation.mT), seen, atol=1e-4, rtol=1e-4
