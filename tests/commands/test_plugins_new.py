@@ -11,6 +11,7 @@ import pytest
 from anystyle.commands import plugins_check, plugins_new
 from anystyle.errors import UserError
 from anystyle.registry.catalog import kinds
+from tests.support.refusals import raises_line
 
 ROOT = Path(__file__).parents[2]
 KINDS = kinds()
@@ -93,9 +94,9 @@ def test_a_name_that_would_hide_an_import_gets_another_class(tmp_path):
     ],
 )
 def test_names_that_cannot_be_used(kind, name, told, tmp_path):
-    with pytest.raises(UserError) as caught:
+    with raises_line(UserError, naming=told):
         plugins_new.main([kind, name, "--into", str(tmp_path)])
-    assert told in str(caught.value) and "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_is_never_overwritten(tmp_path):

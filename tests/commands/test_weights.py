@@ -3,6 +3,7 @@
 import argparse
 import datetime
 import functools
+import os
 import re
 from collections import OrderedDict
 from pathlib import Path
@@ -12,26 +13,17 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from anystyle.cli.run import run
-from anystyle.commands import weights as command
 from anystyle.pipeline.weights import load_reference
 from anystyle.vision import weights
+from tests.support.program import program
+from tests.support.refusals import raises_line
 from tests.support.weights_cases import small_checkpoint
 
 
 @pytest.fixture
-def cli(capsys):
+def cli(tmp_path):
     """Runs ``anystyle weights`` with words; returns exit status, output and error output."""
-
-    def call(*words):
-        status = 0
-        try:
-            run(lambda: command.main([str(word) for word in words]))
-        except SystemExit as left:
-            status = left.code
-        return (status, *capsys.readouterr())
-
-    return call
+    return lambda *words: program(["weights", *map(str, words)], tmp_path, os.environ)
 
 
 def refused(cli, *words: object, told: str):
@@ -129,9 +121,8 @@ BAD = [
 def test_bad_files_end_in_one_line(cli, tmp_path, make, name, told):
     make(tmp_path / name)
     refused(cli, "verify", tmp_path / name, told=told)
-    with pytest.raises(ValueError) as caught:
+    with raises_line(ValueError):
         load_reference(tmp_path / name)
-    assert "\n" not in str(caught.value)
 
 
 def test_another_content_than_the_published_is_refused(cli, tmp_path):
