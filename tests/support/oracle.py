@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -28,6 +29,14 @@ def image(text: str) -> Tensor:
     """The pictures that goldens write as ``IMG(index, [shape])``."""
     index, shape = re.search(r"IMG\((\d+), ?\[([\d,]+)\]\)", text).groups()
     return smooth_image(int(index), [int(length) for length in shape.split(",")])
+
+
+def stripes_and_rings(side: int, phase: float) -> Tensor:
+    """A picture in closed form, (1, 3, side, side) in [0, 1]."""
+    y, x = np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side), indexing="ij")
+    radius = np.hypot(x - 0.2, y + 0.1)
+    waves = [np.sin(9 * x + 5 * y + phase), np.sin(14 * radius + 2 * phase), np.sin(7 * x * y - 3 * y + 3 * phase)]
+    return torch.from_numpy((0.5 + 0.5 * np.stack(waves)).astype(np.float32))[None]
 
 
 def tolerance(expected: Mapping[str, Any]) -> float:

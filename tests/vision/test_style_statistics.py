@@ -13,16 +13,8 @@ from anystyle.types import Comparison, Style
 from anystyle.vision import networks
 from anystyle.vision.statistics import equalized_gray, hellinger, mean_std, rgb_uv_histogram
 from anystyle_metrics.style_retrieval import StyleRetrieval
-from tests.support.oracle import golden
+from tests.support.oracle import golden, stripes_and_rings
 from tests.support.real_data import real
-
-
-def pattern(side, phase):
-    """Stripes and rings in closed form, (1, 3, side, side) in [0, 1]."""
-    y, x = np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side), indexing="ij")
-    radius = np.hypot(x - 0.2, y + 0.1)
-    waves = [np.sin(9 * x + 5 * y + phase), np.sin(14 * radius + 2 * phase), np.sin(7 * x * y - 3 * y + 3 * phase)]
-    return torch.from_numpy((0.5 + 0.5 * np.stack(waves)).astype(np.float32))[None]
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +35,7 @@ PUBLISHED = {
 @torch.no_grad()
 @pytest.mark.parametrize("phase", PUBLISHED)
 def test_the_classifier_gives_the_published_implementations_scores(network, phase):
-    logits = network.logits(pattern(224, phase))[0]
+    logits = network.logits(stripes_and_rings(224, phase))[0]
     classes = list(PUBLISHED[phase])
     assert logits.argmax() == classes[0]
     np.testing.assert_allclose(logits[classes], list(PUBLISHED[phase].values()), rtol=0, atol=3e-5)
