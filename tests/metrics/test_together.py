@@ -1,6 +1,5 @@
 """All metrics: two processes say what one does, and each draws itself."""
 
-import socket
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -47,9 +46,9 @@ def scores(metric):
         return {name: float(value) for name, value in metric.scores().items()}
 
 
-def _process(rank, count, port, folder):
+def _process(rank, count, folder):
     torch.set_num_threads(1)
-    torch.distributed.init_process_group("gloo", f"tcp://127.0.0.1:{port}", rank=rank, world_size=count)
+    torch.distributed.init_process_group("gloo", f"file://{folder}/meeting", rank=rank, world_size=count)
     mine = rows()[rank::count]  # the processes have unequal shares
     found = {}
     for key, name, taken in [
@@ -69,10 +68,7 @@ def _process(rank, count, port, folder):
 def by_two(tmp_path_factory):
     """What each of two processes says that share the rows."""
     folder = tmp_path_factory.mktemp("processes")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    processes = [new.Process(target=_process, args=(rank, 2, port, folder), daemon=True) for rank in range(2)]
+    processes = [new.Process(target=_process, args=(rank, 2, folder), daemon=True) for rank in range(2)]
     for process in processes:
         process.start()
     for process in processes:

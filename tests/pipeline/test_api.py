@@ -48,15 +48,20 @@ def test_a_result_is_the_single_pass_announced_stage_by_stage(photographs, styli
     assert [image.shape for image in result.render(result.cameras.select([1]))] == [(3, *views.size)]
 
 
-def test_a_film_that_is_not_needed_any_more_is_not_finished(photographs, stylizer, tmp_path, monkeypatch):
+def interrupted_at(name):
+    """A call of a restyler that somebody ends when it comes to a style."""
     styled = Restyler.__call__
 
-    def interrupted(self, style, on_progress):
-        if style.name == "waves":
+    def call(self, style, on_progress):
+        if style.name == name:
             raise KeyboardInterrupt
         return styled(self, style, on_progress)
 
-    monkeypatch.setattr(Restyler, "__call__", interrupted)
+    return call
+
+
+def test_a_film_that_is_not_needed_any_more_is_not_finished(photographs, stylizer, tmp_path, monkeypatch):
+    monkeypatch.setattr(Restyler, "__call__", interrupted_at("waves"))
     long = {"frames": 100_000, "scale": 0.5}  # minutes
     start = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
@@ -68,16 +73,10 @@ def test_a_film_that_is_not_needed_any_more_is_not_finished(photographs, stylize
 def test_styles_that_are_finished_stay_where_a_later_one_is_interrupted(
     photographs, stylizer, tmp_path, monkeypatch, caplog
 ):
-    styled, out = Restyler.__call__, tmp_path / "out"
-
-    def interrupted(self, style, on_progress):
-        if style.name == "rain":
-            raise KeyboardInterrupt
-        return styled(self, style, on_progress)
-
-    words, options = ["dots", "waves", "rain"], {"model": "tiny", "views": VIEWS, "video": VIDEO}
+    out, words = tmp_path / "out", ["dots", "waves", "rain"]
+    options = {"model": "tiny", "views": VIEWS, "video": VIDEO}
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Restyler, "__call__", interrupted)
+        patch.setattr(Restyler, "__call__", interrupted_at("rain"))
         anystyle.stylize(photographs, words, out=out, **options)
     folders = sorted(path.name for path in out.iterdir() if path.is_dir())
     assert folders in (["01-dots"], ["01-dots", "02-waves"])  # the film of the second may have been cut

@@ -1,7 +1,5 @@
 """Renders against gsplat's own reference implementation."""
 
-import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from anystyle.testing.oracle import assert_matches, hashed
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.oracle import golden
+from tests.support.real_data import real
 from tests.support.scenes import warp
 
 GOLDEN = golden("golden_render")
@@ -81,11 +80,7 @@ def test_images_and_gradients(renderer: Any, case: str, cap: str) -> None:
 
 
 def garden() -> dict[str, np.ndarray]:
-    folder = Path(os.environ.get("ANYSTYLE_TEST_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    file = folder / "garden" / "test_garden.npz"
-    if not file.exists():
-        pytest.skip(f"no real point cloud at {file}; set ANYSTYLE_TEST_DATA to the folder with garden/")
-    with np.load(file) as data:
+    with np.load(real("garden/test_garden.npz")) as data:
         return {name: data[name] for name in data.files}
 
 

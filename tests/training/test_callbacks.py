@@ -35,6 +35,15 @@ def at(step: int = 0, rank: int = 0, accumulated: int = 1) -> pl.Trainer:
     return trainer
 
 
+def saving(step: int = 0) -> tuple[pl.Trainer, list[int]]:
+    """A trainer that writes empty checkpoints, and the steps at which it did."""
+    trainer, steps = at(step), []
+    trainer.callback_metrics = {}
+    trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision
+    trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
+    return trainer, steps
+
+
 def draw(seed: int, step: int, rank: int = 0) -> float:
     StepSeed(seed).on_train_batch_start(at(rank=rank), Module(), None, step)
     return torch.rand(()).item()
@@ -74,11 +83,7 @@ def test_the_average_is_the_one_of_its_definition(batches):
 @pytest.mark.parametrize("name", [each.name for each in STOPS if each != signal.SIGINT])
 def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path, name, monkeypatch):
     monkeypatch.delenv("SLURM_JOB_ID", raising=False)
-    keeper, steps = RunCheckpoint(tmp_path / "last.ckpt", every_steps=2), []
-    trainer = at()
-    trainer.callback_metrics = {}
-    trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision
-    trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
+    keeper, (trainer, steps) = RunCheckpoint(tmp_path / "last.ckpt", every_steps=2), saving()
     keeper.on_train_start(trainer, Module())
     # Two batches a step, whose gradients are accumulated.
     for batch, step in enumerate([0, 1, 1, 2, 2, 3]):
@@ -116,11 +121,8 @@ def test_a_job_that_cannot_be_requeued_is_told_of(monkeypatch, caplog):
 
 
 def test_a_process_that_another_ones_signal_stops_saves_with_it_once(tmp_path):
-    keeper, steps = RunCheckpoint(tmp_path / "last.ckpt"), []
-    trainer = at(1)
-    trainer.callback_metrics = {}
-    trainer.strategy.reduce_boolean_decision.return_value = True
-    trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
+    keeper, (trainer, steps) = RunCheckpoint(tmp_path / "last.ckpt"), saving(1)
+    trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: True
     keeper.on_train_batch_end(trainer, Module(), None, None, 0)
     keeper.on_train_end(trainer, Module())
     assert steps == [1] and trainer.should_stop and keeper.stopped_by == "SIGTERM"
@@ -207,10 +209,7 @@ def test_the_handler_of_a_launcher_follows_the_checkpoint(tmp_path, monkeypatch)
     seen: list[int] = []
     before = signal.signal(signal.SIGUSR2, lambda number, frame: seen.append(number))
     try:
-        keeper, trainer = RunCheckpoint(tmp_path / "last.ckpt"), at(1)
-        trainer.callback_metrics = {}
-        trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision
-        trainer.save_checkpoint.side_effect = lambda path: path.write_bytes(b"")
+        keeper, (trainer, _) = RunCheckpoint(tmp_path / "last.ckpt"), saving(1)
         keeper.on_train_start(trainer, Module())
         os.kill(os.getpid(), signal.SIGUSR2)
         trainer.global_step = 2

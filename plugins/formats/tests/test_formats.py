@@ -63,12 +63,10 @@ def test_an_asymmetric_scene_stands_upright_and_unmirrored_in_any_axes(up, tmp_p
     export(scene(), tmp_path / "scene.ply", "ply", up=up)
     read = Gaussians.load(tmp_path / "scene.ply")
     red = read.harmonics[0, :, 0, 0] > read.harmonics[0, :, 0, 1]
-    right, top, away = (
-        {"opencv": (means[:, 0], -means[:, 1], means[:, 2]), "y": (means[:, 0], means[:, 1], -means[:, 2]),
-         "z": (means[:, 0], means[:, 2], means[:, 1]), "-z": (means[:, 0], -means[:, 2], -means[:, 1]),
-         "x": (means[:, 1], means[:, 0], means[:, 2]), "-x": (-means[:, 1], -means[:, 0], means[:, 2])}[up]
-        for means in [read.means[0]]
-    ).__next__()  # fmt: skip
+    x, y, z = read.means[0].T
+    right, top, away = {
+        "opencv": (x, -y, z), "y": (x, y, -z), "z": (x, z, y), "-z": (x, -z, -y), "x": (y, x, z), "-x": (-y, -x, z)
+    }[up]  # fmt: skip
     for along, sign in ((right, 1), (top, 1), (away, -1)):
         assert sign * float(along[red].mean() - along[~red].mean()) > 0.3
     assert psnr(picture(from_axes(up, read)), picture(scene())) > 80

@@ -17,6 +17,7 @@ from anystyle.evaluation import plots, record
 from anystyle.evaluation.tables import STAND_IN
 from anystyle_paper import bars, command
 from anystyle_paper.run_table import Line
+from tests.support.program import failing
 
 
 @pytest.fixture
@@ -119,8 +120,4 @@ def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
         "unrecognized arguments: --wiht-published. Did you mean '--with-published'?": ["--wiht-published"],
     }
     for told, words in cases.items():
-        with pytest.raises(SystemExit) as caught:
-            run(lambda words=words: command.Report()(words))
-        assert caught.value.code == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert told in line, line
+        assert told in failing(lambda words: run(lambda: command.Report()(words)), capsys, *words)
