@@ -7,10 +7,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from PIL import Image
+
+from tests.support.pictures import save_photographs
 
 pytest_plugins = ("tests.support.browser",)
 
@@ -51,8 +51,6 @@ def _threads_stay() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of three photographs of noise."""
-    folder = tmp_path_factory.mktemp("photographs")
-    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
-    for number in range(3):
-        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG {number}.png")
-    return folder
+    return save_photographs(
+        tmp_path_factory.mktemp("photographs"), [f"IMG {number}.png" for number in range(3)], 60, 80
+    )

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
@@ -13,6 +12,7 @@ from anystyle.commands import stylize
 from anystyle.pipeline import encode
 from anystyle.pipeline.weights import reference_config
 from anystyle.registry.compose import override
+from tests.support.pictures import save_photographs
 from tests.support.program import failing
 from tests.support.weights_cases import small_checkpoint, training_checkpoint
 
@@ -21,11 +21,7 @@ ENCODER = {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers"
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("photographs")
-    pixels = np.random.default_rng(0).integers(0, 255, (56, 70, 3), dtype=np.uint8)
-    for number in range(2):
-        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"{number}.png")
-    return folder
+    return save_photographs(tmp_path_factory.mktemp("photographs"), ("0.png", "1.png"), 56, 70)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,8 @@ from anystyle.commands import evaluate as command
 from anystyle.commands import plugins_new
 from anystyle.evaluation.tables import STAND_IN
 from anystyle.registry.compose import compose
-from tests.support.evaluation_cases import folders, picture
+from tests.support.evaluation_cases import folders
+from tests.support.pictures import picture
 from tests.support.program import failing
 
 TOY = ["metric=[plain_change]"]

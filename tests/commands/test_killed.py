@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 import pytest
-from PIL import Image
 
+from tests.support.pictures import save
 from tests.support.processes import command
 
 pytestmark = pytest.mark.slow
@@ -18,8 +18,7 @@ WORDS = ("evaluate", "--content", "content", "--style", "style", "--stylized", "
 
 
 def picture(path, seed):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.random.default_rng(seed).integers(0, 255, (240, 320, 3), np.uint8)).save(path)
+    save(path, np.random.default_rng(seed).integers(0, 255, (240, 320, 3), np.uint8))
 
 
 def write_images(folder):

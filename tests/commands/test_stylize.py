@@ -22,6 +22,7 @@ from anystyle.stylizer import Stylizer
 from anystyle_formats.command_export import export, parser
 from anystyle_formats.html import Html
 from anystyle_formats.splat import Splat
+from tests.support.pictures import save_photographs
 from tests.support.program import failing
 
 SMALL = ["video.frames=3", "video.scale=0.5", "views.take=3", "views.short_side=56"]
@@ -36,11 +37,7 @@ fails = partial(failing, stylize.main)
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("photographs")
-    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
-    for number in range(2):
-        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG {number}.png")
-    return folder
+    return save_photographs(tmp_path_factory.mktemp("photographs"), ("IMG 0.png", "IMG 1.png"), 60, 80)
 
 
 def test_an_unknown_painting_is_told_before_a_scene_is_made(capsys, tmp_path):

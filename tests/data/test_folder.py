@@ -1,4 +1,5 @@
 import shutil
+from functools import partial
 
 import av
 import numpy as np
@@ -12,11 +13,11 @@ from anystyle.data.images import SUFFIXES, is_hdr
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
 from anystyle.types import SourceImage
+from tests.support.films import write_film
+from tests.support.pictures import picture
 from tests.support.refusals import raises_line
 
-
-def save(path, width=64, height=48, shade=100):
-    Image.new("RGB", (width, height), (shade, shade, shade)).save(path)
+save = partial(picture, value=100, size=(64, 48))
 
 
 def read(*inputs, **options):
@@ -25,7 +26,7 @@ def read(*inputs, **options):
 
 def test_a_folder_in_natural_order_with_its_aspect_kept(tmp_path):
     for number in (1, 2, 10):
-        save(tmp_path / f"v{number}.png", shade=number * 20)
+        save(tmp_path / f"v{number}.png", value=number * 20)
     (tmp_path / "notes.txt").write_text("no image")
     views, sources = read(tmp_path)
     assert [source.name for source in sources] == ["v1", "v2", "v10"] == list(views.names)
@@ -69,7 +70,7 @@ def test_without_a_size_every_pixel_stays(tmp_path):
     assert sources[0].box == (0, 0, 64, 48)
     with pytest.raises(ValueError, match=r"are 64x48 pixels, and sides must be multiples of 14: views\.resize=true"):
         read(tmp_path, short_side=None, multiple=14)
-    save(tmp_path / "2.png", width=56, height=56)
+    save(tmp_path / "2.png", size=(56, 56))
     with pytest.raises(ValueError, match=r"have 2 sizes \(56x56, 64x48\)"):
         read(tmp_path, short_side=None)
 
@@ -77,7 +78,7 @@ def test_without_a_size_every_pixel_stays(tmp_path):
 def test_different_sizes_and_a_bad_file_among_good_ones(tmp_path, caplog):
     save(tmp_path / "a.png")
     save(tmp_path / "b.png")
-    save(tmp_path / "c.png", width=30, height=90)
+    save(tmp_path / "c.png", size=(30, 90))
     (tmp_path / "d.jpg").write_text("nonsense")
     views, sources = read(tmp_path)
     assert views.images.shape == (1, 3, 3, 32, 40) and "d.jpg" in caplog.text
@@ -97,20 +98,14 @@ def test_intrinsics_map_back_to_the_pixels_of_a_large_upright_source(tmp_path):
 
 
 def test_equal_names_are_told_apart(tmp_path):
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        save(tmp_path / folder / "1.png")
-    save(tmp_path / "b" / "1.jpg")
-    files = [tmp_path / name for name in ("a/1.png", "b/1.png", "b/1.jpg")]
+    files = [save(tmp_path / name) for name in ("a/1.png", "b/1.png", "b/1.jpg")]
     assert read(*files)[0].names == ("a_1", "b_1", "b_1_2")
 
 
 def test_folders_in_a_folder_are_read(tmp_path, caplog):
     """A rig's photographs; masks and reduced copies are none, and those below a folder that has its own are told."""
     for name in ("cam10/1.png", "cam2/1.png", "cam2/2.png", "masks/1.png", ".hidden/1.png"):
-        (tmp_path / "images" / name).parent.mkdir(parents=True, exist_ok=True)
         save(tmp_path / "images" / name)
-    (tmp_path / "images_2" / "cam2").mkdir(parents=True)
     save(tmp_path / "images_2" / "cam2" / "1.png")
     views, sources = read(tmp_path)
     assert views.names == ("cam2_1", "cam2_2", "cam10_1") and sources[0].path == tmp_path / "images" / "cam2" / "1.png"
@@ -121,7 +116,7 @@ def test_folders_in_a_folder_are_read(tmp_path, caplog):
 
 def test_many_photographs_are_thinned_evenly(tmp_path):
     for number in range(20):
-        save(tmp_path / f"{number}.png", shade=number)
+        save(tmp_path / f"{number}.png", value=number)
     _, sources = read(tmp_path, max_views=4)
     assert [source.name for source in sources] == ["0", "6", "13", "19"]
 
@@ -145,14 +140,9 @@ def test_the_sharpest_frame_of_each_part_is_taken(tmp_path):
 @pytest.mark.parametrize("gop", [10, 1000])
 def test_long_videos_are_read_by_their_key_frames_where_these_are_enough(tmp_path, monkeypatch, gop):
     monkeypatch.setattr(video, "MANY_FRAMES", 50)
-    with av.open(str(tmp_path / "a.mp4"), "w") as container:
-        stream = container.add_stream("libx264", rate=25, options={"g": str(gop), "sc_threshold": "0"})
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for place in range(100):
-            pixels = np.full((48, 64, 3), 2 * place, np.uint8)
-            pixels[::2] = 255 - 2 * place
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
-        container.mux(stream.encode())
+    frames = np.full((100, 48, 64, 3), 2 * np.arange(100)[:, None, None, None], np.uint8)
+    frames[:, ::2] = 255 - frames[:, ::2]
+    write_film(tmp_path / "a.mp4", frames, options={"g": str(gop), "sc_threshold": "0"})
     numbers = [number for number, _ in read_frames(tmp_path / "a.mp4", 5)]
     assert [number // 20 for number in numbers] == [0, 1, 2, 3, 4]
     assert (gop == 1000) or all(number % 10 == 0 for number in numbers)
@@ -194,13 +184,8 @@ def test_a_truncated_video_is_refused(tmp_path, name, options, words):
     """Whatever its container: what is left of it would pass for a shorter walk."""
     path = tmp_path / name
     pixels = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
-    with av.open(str(path), "w", options=options) as container:
-        stream = container.add_stream("mpeg4", rate=2)  # several clusters of Matroska
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for index in range(40):
-            shown = np.roll(pixels, index, axis=1)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(shown, format="rgb24")))
-        container.mux(stream.encode())
+    frames = [np.roll(pixels, index, axis=1) for index in range(40)]
+    write_film(path, frames, "mpeg4", rate=2, container=options)  # several clusters of Matroska
     assert len(read_frames(path, 4)) == 4
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 7 // 10])
@@ -273,7 +258,7 @@ def test_maps_of_photographs_are_no_photographs(tmp_path, caplog, photographs, o
 
 def test_copies_of_photographs_count_once(tmp_path, caplog):
     for name in ("IMG_1.jpg", "IMG_2.jpg", "IMG_2 (1).jpg", "10.jpg"):
-        save(tmp_path / name, shade=len(name) * 15)  # IMG_2 (1) is another photograph
+        save(tmp_path / name, value=len(name) * 15)  # IMG_2 (1) is another photograph
     copies = ["IMG_1 (1)", "IMG_1(2)", "IMG_1 - Copy", "IMG_1 - Copy (2)", "IMG_1 copy", "IMG_1 copy 2", "IMG_1_copy"]
     copies += ["IMG_1 (another copy)", "Copy of IMG_1", "IMG_1 2", "IMG_1~3", "IMG_1 - Kopie", "IMG_1 - 副本"]
     for name in copies:
@@ -288,7 +273,7 @@ def test_of_one_format_content_tells_which_photographs_are_copies(tmp_path):
     """Names that differ in their suffix alone are those of copies, unless the format is the same."""
     names = ("1.JPG", "1.jpg", "2.JPEG", "2.jpg", "3.tif", "3.TIFF", "4.JPG", "4.jpg", "4.png")
     for name, shade in zip(names, (20, 50, 80, 110, 140, 170, 200, 200, 20), strict=True):
-        save(tmp_path / name, shade=shade)
+        save(tmp_path / name, value=shade)
     views, sources = read(tmp_path)
     assert [round(255 * float(view.mean()) / 10) * 10 for view in views.images[0]] == [20, 50, 80, 110, 140, 170, 200]
     assert len({name.casefold() for name in views.names}) == len(sources) == 7
@@ -296,7 +281,6 @@ def test_of_one_format_content_tells_which_photographs_are_copies(tmp_path):
 
 def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
     for name in ("photos/a.png", "photos/b.png", "photos/@eaDir/a.png", "__MACOSX/photos/a.png", "sam_masks/a.png"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         save(tmp_path / name)
     (tmp_path / "photos" / "._a.png").write_bytes(b"resource fork")
     views, _ = read(tmp_path, max_views=2)
@@ -305,7 +289,6 @@ def test_what_other_systems_leave_is_no_photograph(tmp_path, caplog):
 
 def test_a_folder_that_is_named_as_maps_may_hold_the_only_photographs(tmp_path, caplog):
     for name in ("normal/IMG_1.png", "normal/IMG_2.png", "photos/a.png", "depth/a.png"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
         save(tmp_path / name)
     assert read(tmp_path)[0].names == ("a",)  # depth has its names, and is silent
     assert len(caplog.messages) == 1 and "normal are left out, for its name is that of maps" in caplog.text

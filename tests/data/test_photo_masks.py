@@ -10,6 +10,7 @@ from anystyle.data.images import open_alpha, open_image
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
 from anystyle.types import SourceImage, Views
+from tests.support.pictures import save
 
 WHITE = 255
 
@@ -29,12 +30,6 @@ def left_half(size=(48, 32), white=WHITE, black=0):
     mask = np.full((size[1], size[0]), black, dtype=np.uint8)
     mask[:, : size[0] // 2] = white
     return mask
-
-
-def mask(path, pixels):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path)
-    return path
 
 
 def read(path, masks=(), empty=False, side=16):
@@ -87,7 +82,7 @@ def test_alpha_lies_as_the_photograph_does(tmp_path):
     views, report = read(tmp_path)
     assert views.size == (24, 16) and report["transparent"] == pytest.approx(0.5, abs=0.03)
     assert (views.alpha[0, 0, :10] > 0.95).all() and (views.alpha[0, 0, 14:] < 0.05).all()
-    upright = mask(tmp_path / "masks" / "a.png", left_half().T.copy())
+    upright = save(tmp_path / "masks" / "a.png", left_half().T.copy())
     assert with_masks(read_originals([tmp_path / "a.png"], longest=64, max_views=1), {tmp_path / "a.png": upright})
 
 
@@ -104,28 +99,28 @@ def test_alpha_lies_as_the_photograph_does(tmp_path):
 def test_masks_are_found_by_the_names_of_photographs(tmp_path, names):
     names = {one: other for one, other in names.items() if one != "1.jpg"}
     photographs = [photograph(tmp_path / "photos" / name) for name in names]
-    masks = [mask(tmp_path / "masks" / name, left_half()) for name in names.values()]
+    masks = [save(tmp_path / "masks" / name, left_half()) for name in names.values()]
     assert find_masks(tmp_path / "masks", photographs) == dict(zip(photographs, masks, strict=True))
 
 
 def test_masks_that_do_not_fit_are_told_of_or_refused(tmp_path, caplog):
     photos, masks = tmp_path / "photos", tmp_path / "masks"
     paths = [photograph(photos / f"{name}.png") for name in "abc"]
-    mask(masks / "other.png", left_half())
+    save(masks / "other.png", left_half())
     with pytest.raises(UserError, match=r"none of the 1 images in .*; expected a\.png, b\.png, c\.png"):
         find_masks(masks, paths)
-    mask(masks / "a.png", left_half())
+    save(masks / "a.png", left_half())
     found = find_masks(masks, paths)
     assert "2 of 3 photographs have no mask" in caplog.text and "b.png, c.png" in caplog.text
     assert "1 masks" in caplog.text and "other.png" in caplog.text
-    mask(masks / "a.jpg", left_half())
+    save(masks / "a.jpg", left_half())
     with pytest.raises(UserError, match=r"a\.png has 2 masks"):
         find_masks(masks, paths)
-    mask(masks / "a.png", left_half((32, 48)))
+    save(masks / "a.png", left_half((32, 48)))
     with pytest.raises(UserError, match=r"has 32x48 pixels, and a\.png 48x32, upright; give a mask of the same"):
         read(photos, found)
     twice = [photograph(tmp_path / cam / "1.png") for cam in ("cam0", "cam1")]
-    mask(masks / "1.png", left_half())
+    save(masks / "1.png", left_half())
     with pytest.raises(UserError, match="would be the mask of both"):
         find_masks(masks, twice)
     with pytest.raises(UserError, match=r"walk\.mp4 is a film"):
@@ -136,7 +131,7 @@ def test_masks_that_do_not_fit_are_told_of_or_refused(tmp_path, caplog):
 @pytest.mark.parametrize("scale", [1, 2])
 def test_white_counts_and_black_is_ignored_or_empty(tmp_path, white, scale):
     path = photograph(tmp_path / "a.png")
-    file = mask(tmp_path / "masks" / "a.png", left_half((48 * scale, 32 * scale), white=white))
+    file = save(tmp_path / "masks" / "a.png", left_half((48 * scale, 32 * scale), white=white))
     views, report = read(path, {path: file})
     assert views.alpha is None and views.valid[0, 0, :, :10].all() and not views.valid[0, 0, :, 12:].any()
     assert report == {"photographs": 1, "transparent": 0.0, "ignored": pytest.approx(0.5, abs=0.1)}
@@ -152,7 +147,7 @@ def test_masks_that_leave_little_and_nothing(tmp_path, caplog):
     one, two = photograph(tmp_path / "p" / "a.png"), photograph(tmp_path / "p" / "b.png", alpha=left_half(white=0))
     few = left_half()
     few[:, 4:] = 0
-    views, _ = read(tmp_path / "p", {one: mask(tmp_path / "masks" / "a.png", few)})
+    views, _ = read(tmp_path / "p", {one: save(tmp_path / "masks" / "a.png", few)})
     assert "nothing is left of 1 photographs, and they are ignored: b" in caplog.text
     assert "invert them if black is what is to stay" in caplog.text
     assert views.alpha is None and not views.valid[0, 1].any() and views.valid[0, 0].any()

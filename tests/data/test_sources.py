@@ -1,6 +1,7 @@
 """Scenes and styles from folders in the layouts of the field."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,13 +11,11 @@ from PIL import Image
 from anystyle.data.poses import read_poses
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
+from tests.support.pictures import picture
 from tests.support.real_data import real
 from tests.support.refusals import raises_line
 
-
-def save(path, size=(60, 40), shade=100):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.new("RGB", size, (shade, shade, shade)).save(path)
+save = partial(picture, value=100, size=(60, 40))
 
 
 def rotation(angle):
@@ -29,7 +28,7 @@ def capture(tmp_path):
     """Two scenes; the first with cameras for 120 x 80 pixels, stored at half of that, and one image too many."""
     frames = []
     for number in (1, 2, 10):
-        save(tmp_path / "b10" / "images" / f"f_{number}.png", shade=20 * number)
+        save(tmp_path / "b10" / "images" / f"f_{number}.png", value=20 * number)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation(0.1 * number), [number, 2, 3]
         frames.append({"file_path": f"images/f_{number}.png", "transform_matrix": pose.tolist()})

@@ -3,9 +3,9 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from anystyle.data.folder import read_views
 from anystyle.data.images import open_image
@@ -18,6 +18,7 @@ from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.training.run import train
+from tests.support.pictures import save
 from tests.support.refusals import raises_line
 from tests.support.training_cases import RECONSTRUCTION, configuration
 
@@ -73,8 +74,7 @@ def test_control_groups_limit_what_is_free(tmp_path):
 
 
 def photograph(folder, name="a", side=6000):
-    Image.new("L", (side, side)).save(folder / f"{name}.png")
-    return folder / f"{name}.png"
+    return save(folder / f"{name}.png", np.zeros((side, side), np.uint8))
 
 
 def read_photographs(folder):
@@ -95,8 +95,7 @@ def load_scene(folder):
 
 def judge(folder):
     for name in ("content/1", "stylized/ink/1", "style/ink"):
-        (folder / name).parent.mkdir(parents=True)
-        Image.new("L", (4000, 4000)).save(folder / f"{name}.png")
+        save(folder / f"{name}.png", np.zeros((4000, 4000), np.uint8))
     return Reader()(pair(folder / "content", folder / "style", folder / "stylized").cells[0])
 
 

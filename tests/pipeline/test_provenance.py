@@ -4,12 +4,12 @@ import hashlib
 import json
 import subprocess
 
-import numpy as np
 import pytest
 from PIL import Image, PngImagePlugin
 from plyfile import PlyData
 
 from anystyle.commands import stylize
+from tests.support.pictures import save_photographs
 
 SMALL = ("views.short_side=28", "video.frames=2", "video.scale=0.5")
 
@@ -21,9 +21,7 @@ def given(tmp_path_factory):
     exif = Image.Exif()
     exif[0x010F] = "secretcamera"
     exif.get_ifd(0x8825).update({1: "N", 2: (48.0, 51.0, 29.9), 3: "E", 4: (2.0, 17.0, 40.2)})
-    pixels = np.random.default_rng(0).integers(0, 255, (56, 84, 3), dtype=np.uint8)
-    for number in range(2):
-        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"quillfeather_{number}.jpg", exif=exif)
+    save_photographs(folder, ("quillfeather_0.jpg", "quillfeather_1.jpg"), 56, 84, exif=exif)
     Image.new("RGB", (40, 30), (200, 30, 30)).save(folder.parent / "zinnober.png", exif=exif)
     return folder
 

@@ -7,13 +7,13 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from anystyle import stylize
 from anystyle.data.folder import read_views
 from anystyle.pipeline import cameras
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.photographs import _stored_beside
+from tests.support.pictures import save
 
 SMALL = ViewOptions(short_side=56)
 
@@ -22,12 +22,11 @@ SMALL = ViewOptions(short_side=56)
 def capture(tmp_path):
     """Six photographs of noise, which no search finds cameras of, with those of five in a COLMAP model."""
     random = np.random.default_rng(0)
-    (tmp_path / "images").mkdir()
     (tmp_path / "sparse" / "0").mkdir(parents=True)
     lines = []
     for number in range(6):
         name = f"{number:04d}.png"
-        Image.fromarray(random.integers(0, 255, (60, 80, 3), dtype=np.uint8)).save(tmp_path / "images" / name)
+        save(tmp_path / "images" / name, random.integers(0, 255, (60, 80, 3), dtype=np.uint8))
         if number != 3:
             lines += [f"{number + 1} 1 0 0 0 {-0.1 * number} 0 0 1 {name}", ""]
     model = tmp_path / "sparse" / "0"

@@ -16,6 +16,7 @@ from anystyle.types import Cameras
 from anystyle_benchmark.results import Cell, Record, bind
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
+from tests.support.pictures import save
 
 HEIGHT, WIDTH = 48, 64
 STEP, DEPTH, FOCAL = 4, 4.0, 60.0
@@ -39,13 +40,13 @@ def write_track(
         plane = _texture((2 * HEIGHT, 2 * (WIDTH + STEP * views)), seed=number)
         stems = [f"{view:03d}" for view in range(views)]
         for view, stem in enumerate(stems):
-            _save(folder / f"{stem}.png", plane[:, 2 * STEP * view : 2 * (STEP * view + WIDTH)])
+            save(folder / f"{stem}.png", plane[:, 2 * STEP * view : 2 * (STEP * view + WIDTH)])
         lines += ["[[scenes]]", f'name = "{name}"', f'photographs = "scenes/{name}"', f"views = {json.dumps(stems)}"]
         if number < scenes - 1 or scenes == 1:
             _write_geometry(root / "geometry" / name, stems)
             lines.append(f'geometry = "geometry/{name}"')
     for number in range(images):
-        _save(root / "styles" / f"image{number}.png", _texture((60, 50), seed=100 + number, sigma=1 + number))
+        save(root / "styles" / f"image{number}.png", _texture((60, 50), seed=100 + number, sigma=1 + number))
         lines += ["[[styles]]", f'name = "image{number}"', f'image = "styles/image{number}.png"']
     for number in range(texts):
         lines += ["[[styles]]", f'name = "text{number}"', f"text = {json.dumps(TEXTS[number])}"]
@@ -75,7 +76,7 @@ def write_cell(inputs: Inputs, root: Path, cell: Cell) -> None:
     scene, style = inputs.scene(cell.scene), inputs.style(cell.style)
     random = np.random.default_rng([cell.seed, *cell.scene.encode(), *cell.style.encode()])
     for view in scene.views:
-        _save(cell.images(root) / f"{view}.png", _painted(inputs, cell.method, scene, style, view, random))
+        save(cell.images(root) / f"{view}.png", _painted(inputs, cell.method, scene, style, view, random))
     write_json(cell.record(root), msgspec.to_builtins(Record("done", seconds=2.0, scene_seconds=6.0, memory=100.0)))
 
 
@@ -120,8 +121,3 @@ def _write_geometry(folder: Path, stems: Sequence[str]) -> None:
 def _resized(path: Path) -> np.ndarray:
     with Image.open(path) as image:
         return np.asarray(image.convert("RGB").resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS))
-
-
-def _save(path: Path, picture: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(picture).save(path)

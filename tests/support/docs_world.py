@@ -12,6 +12,7 @@ from anystyle.types import Gaussians
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_study.protocol import read_study
 from tests.support.docs_cases import ROOT, blocks
+from tests.support.pictures import save
 from tests.support.weights_cases import training_checkpoint
 
 _TRANSFORMS = {"w": 64, "h": 48, "fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24}
@@ -111,10 +112,9 @@ def of_plugins(folder: Path) -> None:
 
 def _mask(path: Path) -> None:
     """White in the upper third of 64 x 48 pixels."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     pixels = np.zeros((48, 64), dtype=np.uint8)
     pixels[:16] = 255
-    Image.fromarray(pixels).save(path)
+    save(path, pixels)
 
 
 def _picture(path: Path, *, seed: int, shift: int = 0) -> None:

@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
 import torch
-from PIL import Image
 
 from anystyle.contracts import Metric
+from tests.support.pictures import picture
 
 
 class Mean(Metric):
@@ -33,13 +32,6 @@ class Mean(Metric):
     def compute(self):
         values = torch.cat([value.reshape(-1) for value in self.values]) if self.values else torch.zeros(0)
         return {self.score: values.mean()}
-
-
-def picture(path: Path, value, size=(12, 8)):
-    """A grey picture of one value."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.full((size[1], size[0], 3), value, dtype=np.uint8)).save(path)
-    return path
 
 
 def folders(root: Path, scenes=("one", "two"), styles=("a", "b"), frames=3):

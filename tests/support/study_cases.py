@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from anystyle_study.contract import Responses
 from anystyle_study.design import Sources, design
 from anystyle_study.protocol import Plan, Study, plan_from
+from tests.support.pictures import save
 
 HEADER = "participant,item,question,score,ours_is"
 
@@ -71,8 +71,7 @@ def write_results(
             for frame in range(frames):
                 picture(path.with_suffix("") / f"{frame:03d}.png", size, 0)
             return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(random.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8)).save(path)
+        save(path, random.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8))
 
     for scene in range(scenes):
         picture(root / "contents" / f"scene{scene}.png")

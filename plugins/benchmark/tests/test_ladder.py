@@ -31,6 +31,7 @@ from anystyle_benchmark.results import Cell, Interval, Record
 from anystyle_benchmark.spec import read_spec
 from anystyle_benchmark.track import TRACKS, Inputs
 from tests.support.benchmark_world import write_track
+from tests.support.pictures import save
 
 SIZE = (24, 32)
 
@@ -257,10 +258,9 @@ def made_rungs(tmp_path_factory):
             for name, function in functions.items():
                 for index, strength in enumerate((0.0, *DISTORTIONS[name].strengths)):
                     cell = Cell(rung(name, index), 0, scene.name, style.name)
-                    cell.images(results).mkdir(parents=True, exist_ok=True)
                     for view, image in zip(scene.views, function(views, strength), strict=True):
                         pixels = (255 * image).round().byte().permute(1, 2, 0).numpy()
-                        Image.fromarray(pixels).save(cell.images(results) / f"{view}.png")
+                        save(cell.images(results) / f"{view}.png", pixels)
                     write_json(cell.record(results), msgspec.to_builtins(Record("done")))
     words = [str(results), "--track", str(track), "--distortions", ",".join(functions), "--processes", "1"]
     main(words)

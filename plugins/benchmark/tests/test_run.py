@@ -14,6 +14,7 @@ from anystyle.io.documents import read_json
 from anystyle_benchmark.command_run import main
 from anystyle_benchmark.results import Cell, Origin, Record, wrong_images
 from anystyle_benchmark.spec import read_spec
+from tests.support.pictures import save
 
 PROGRAM = """
 import json, sys, pathlib
@@ -33,9 +34,8 @@ def world(tmp_path: Path) -> Path:
     noise = np.random.default_rng(0)
     for scene in ("one", "two"):
         for view in range(3):
-            path = tmp_path / "photographs" / scene / f"{view}.jpg"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(noise.integers(0, 255, (48, 64, 3), dtype=np.uint8)).save(path)
+            pixels = noise.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+            save(tmp_path / "photographs" / scene / f"{view}.jpg", pixels)
     for style in ("a", "b"):
         Image.new("RGB", (32, 32), "red" if style == "a" else "blue").save(tmp_path / f"{style}.png")
     lines = ['name = "small"', "version = 1", 'about = "x"', "short_side = 24", "[metrics]", 'image = ["psnr"]']

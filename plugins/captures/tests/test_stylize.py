@@ -4,7 +4,6 @@ import json
 
 import pytest
 import torch
-from PIL import Image
 
 import anystyle
 from anystyle import PoseOptions, ViewOptions
@@ -13,6 +12,7 @@ from anystyle.types import Views
 from anystyle_captures.fit import Fit
 from tests.support.cards import World, arc
 from tests.support.known_scene import photographed_wall
+from tests.support.pictures import save
 from tests.support.real_data import real
 
 FOCAL, SIZE = 200.0, (168, 192)
@@ -28,9 +28,8 @@ def stylizer():
 
 
 def write(folder, poses):
-    folder.mkdir()
     for number, pose in enumerate(poses):
-        Image.fromarray(World(0).picture(pose, FOCAL, SIZE)).save(folder / f"view{number}.png")
+        save(folder / f"view{number}.png", World(0).picture(pose, FOCAL, SIZE))
     return folder
 
 

@@ -11,11 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import WikiArtStyles
-
-
-def save(path, shade):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.new("RGB", (60, 40), (shade, shade, shade)).save(path)
+from tests.support.pictures import picture
 
 
 def test_a_clip_of_any_name_is_written_nowhere(tmp_path, monkeypatch):
@@ -67,7 +63,7 @@ def test_re10k_chunks(tmp_path):
 @pytest.fixture
 def gallery(tmp_path):
     for name, shade in (("Pop_Art/a.jpg", 50), ("Pop_Art/b.png", 100), ("Late_Renaissance/x/c.jpeg", 150)):
-        save(tmp_path / name, shade=shade)
+        picture(tmp_path / name, shade, (60, 40))
     (tmp_path / "Pop_Art" / "broken.jpg").write_text("nonsense")
     (tmp_path / "wikiarts_descriptions.txt").write_text(
         "Pop_Art/a.jpg;bold outlines; flat colour\nGone/z.jpg;hazy blue\nGone/y.jpg;\nGone/w.jpg;golden light\n"

@@ -17,13 +17,12 @@ from anystyle.testing.oracle import hashed
 from anystyle_datasets.dl3dv import DL3DVScenes
 from anystyle_datasets.duplicates import fingerprint, same_pictures
 from anystyle_datasets.wikiart import TEST_FILES, WikiArtStyles
+from tests.support.pictures import save
 from tests.support.real_data import real
 
 
 def picture(path, seed=0, size=(60, 40)):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    levels = (hashed(seed, (3, size[1], size[0])) * 255).byte().permute(1, 2, 0).numpy()
-    Image.fromarray(levels).save(path)
+    save(path, (hashed(seed, (3, size[1], size[0])) * 255).byte().permute(1, 2, 0).numpy())
 
 
 def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):

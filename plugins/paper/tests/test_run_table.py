@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy import stats
 
 from anystyle.contracts.protocol import Evaluation
@@ -14,6 +13,7 @@ from anystyle.evaluation.tables import STAND_IN, Table
 from anystyle_paper import latex, runs
 from anystyle_paper import published_scores as published
 from anystyle_paper import run_table as report
+from tests.support.pictures import picture
 
 
 def evaluation(folder, scores, *, n=4, groups=None, stand_ins=None, better=None, **provenance):
@@ -214,11 +214,8 @@ def test_the_sheet_has_a_row_for_each_variant_and_a_column_for_each_style(sweep)
         images = sweep / str(number) / "evaluation" / "images"
         for style in ("00", "01"):
             for frame in range(3):
-                path = images / "stylized" / "train" / f"{style}_{frame:03d}.png"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                Image.new("RGB", (8, 8), (shade + frame,) * 3).save(path)
-            (images / "style").mkdir(exist_ok=True)
-            Image.new("RGB", (8, 8), (200,) * 3).save(images / "style" / f"{style}.png")
+                picture(images / "stylized" / "train" / f"{style}_{frame:03d}.png", shade + frame)
+            picture(images / "style" / f"{style}.png", 200)
     lines, _ = report.lines_of(runs.find(sweep))
     rows, titles, columns = report.sheet_cells(lines)
     assert titles == ["style", "base", "no_text", "no_style_loss", "all_geometry"]

@@ -17,7 +17,8 @@ from anystyle_paper import published_scores, run_table
 from anystyle_paper.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle_paper.runs import find
 from anystyle_paper.tables import Tables
-from tests.support.evaluation_cases import Mean, picture
+from tests.support.evaluation_cases import Mean
+from tests.support.pictures import picture
 
 TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for style in range(NUM_STYLES))
 

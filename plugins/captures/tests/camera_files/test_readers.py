@@ -12,6 +12,7 @@ from anystyle.pipeline.cameras import from_files
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL
 from anystyle_captures.camera_files.lens import Lens
+from tests.support.pictures import save
 from tests.support.refusals import raises_line
 
 SIZE = (48, 64)
@@ -59,10 +60,7 @@ def test_photographs_that_lie_on_a_side_get_upright_cameras(tmp_path, orientatio
     exif = Image.Exif()
     exif[0x0112] = orientation
     pixels = np.random.default_rng(0).integers(0, 255, (*SIZE, 3), dtype=np.uint8)
-    (tmp_path / "images").mkdir()
-    images = [tmp_path / "images" / f"{number}.{suffix}" for number in range(3)]
-    for image in images:
-        Image.fromarray(pixels).save(image, exif=exif)
+    images = [save(tmp_path / "images" / f"{number}.{suffix}", pixels, exif=exif) for number in range(3)]
     model(tmp_path, images, LENS)
     camera = read_poses(tmp_path, images)[images[1]]
     point = samples.poses()[1] @ [0.2, -0.1, 1.0, 1.0]
