@@ -11,9 +11,9 @@ from anystyle.commands import film, stylize
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.pipeline.beside import cameras_beside, with_stored_cameras
-from anystyle.pipeline.options import SplatOptions
+from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.request import SavedScene, inputs_of
-from anystyle.pipeline.saved import read_saved, read_unturned
+from anystyle.pipeline.saved import cameras_of, read_saved, read_unturned
 from anystyle_formats.command_export import export, parser
 from tests.pipeline.test_saved import RENDERER, transforms
 from tests.support.known_scene import photographed_wall, wall
@@ -88,6 +88,19 @@ def test_a_run_of_3dgs_is_a_scene_with_its_cameras(run, tmp_path):
     assert (tmp_path / "film.mp4").stat().st_size
     export(parser().parse_args([str(run), "--out", str(tmp_path / "again.ply")]))
     assert len(PlyData.read(tmp_path / "again.ply")["vertex"].data) == wall().means.shape[1]
+
+
+def test_cameras_of_several_sizes_are_all_used_at_the_commonest(run):
+    images, known, _ = photographed_wall(3)
+    listed = json.loads((run / "cameras.json").read_text())
+    listed[0] |= {name: listed[0][name] // 2 for name in ("width", "height", "fx", "fy")}
+    (run / "cameras.json").write_text(json.dumps(listed))
+    path = run / "point_cloud" / "iteration_30000" / "point_cloud.ply"
+    with torch.no_grad():
+        assert (renders(path) - images).abs().max() < 0.01
+    cameras, sources, _ = cameras_of(path, read_saved(path), ViewOptions(), SplatOptions(), RENDERER, 2, 40)
+    assert cameras.size == known.size and [source.name for source in sources] == ["IMG_0", "IMG_1", "IMG_2"]
+    torch.testing.assert_close(cameras.intrinsics, known.intrinsics)
 
 
 def test_a_damaged_list_of_cameras_is_one_line(run):

@@ -1,7 +1,8 @@
 """Cameras in or beside the file of a scene: of this program, of trainers' runs, and those of its photographs."""
 
 import logging
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated
@@ -11,14 +12,14 @@ import torch
 from msgspec import Meta
 
 from anystyle.contracts import StoredCamera
-from anystyle.data.poses import stored_cameras
+from anystyle.data.poses import stored_cameras, view_camera
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.io.splats import Offset
 from anystyle.paths import distinct, short_names
 from anystyle.pipeline.export import turn
 from anystyle.ranges import Positive
-from anystyle.types import Cameras, StyledScene
+from anystyle.types import Cameras, SourceImage, StyledScene
 
 _log = logging.getLogger(__name__)
 _Row3 = tuple[float, float, float]
@@ -56,7 +57,7 @@ class _ModelFrame:
 def with_stored_cameras(
     scene: StyledScene, path: Path, stored_in: str | None = None, own_up: str = "opencv"
 ) -> StyledScene:
-    """A scene with the cameras beside its file, those of one size, where it has none of its own.
+    """A scene with the cameras beside its file where it has none of its own.
 
     Arguments are those of :func:`cameras_beside`.
     """
@@ -66,13 +67,15 @@ def with_stored_cameras(
 
 
 def with_cameras(scene: StyledScene, stored: Mapping[str, StoredCamera]) -> StyledScene:
-    """A scene with cameras by the names of their views, those of one size as the first."""
-    size = next(iter(stored.values())).size
-    alike = {name: camera for name, camera in stored.items() if camera.size == size}
-    poses = np.stack([camera.world_from_camera for camera in alike.values()])
-    intrinsics = np.stack([camera.intrinsics for camera in alike.values()])
-    cameras = Cameras(torch.from_numpy(poses).float()[None], torch.from_numpy(intrinsics).float()[None], size)
-    return replace(scene, cameras=cameras, names=tuple(alike))
+    """A scene with cameras by the names of their views, all at the commonest of their sizes."""
+    size = commonest_size(stored.values())
+    views = [view_camera(camera, SourceImage.covering(name, camera.size, size)) for name, camera in stored.items()]
+    return replace(scene, cameras=Cameras.cat(views, dim=1), names=tuple(stored))
+
+
+def commonest_size(cameras: Iterable[StoredCamera]) -> tuple[int, int]:
+    """The height and width that most cameras have."""
+    return Counter(camera.size for camera in cameras).most_common(1)[0][0]
 
 
 def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: str) -> dict[str, StoredCamera]:

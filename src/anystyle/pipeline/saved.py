@@ -24,7 +24,7 @@ from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render, pixels_shown, with_gaussians
 from anystyle.methods.simplify import simplified
 from anystyle.paths import distinct, short_names
-from anystyle.pipeline.beside import Side, cameras_beside, own_cameras, saved_cameras, with_cameras
+from anystyle.pipeline.beside import Side, cameras_beside, commonest_size, own_cameras, saved_cameras, with_cameras
 from anystyle.pipeline.export import in_axes, turn
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import Entry, entry
@@ -260,7 +260,7 @@ def cameras_of(
         return cameras, sources, "chosen"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
-    whole = stored[names[chosen[0]]].size
+    whole = commonest_size(stored.values())
     height, width = (max(multiple, round(length * side / min(whole) / multiple) * multiple) for length in whole)
     called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
     sources = tuple(SourceImage.covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
