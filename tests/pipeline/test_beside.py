@@ -1,6 +1,7 @@
 """Cameras beside a splat, as the trainers of this field leave them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from anystyle.commands import film, stylize
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.pipeline.beside import cameras_beside, with_stored_cameras
+from anystyle.pipeline.export import turn
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.request import SavedScene, inputs_of
 from anystyle.pipeline.saved import cameras_of, read_saved, read_unturned
@@ -46,7 +48,23 @@ def test_cameras_of_nerfstudio_are_moved_into_the_frame_of_its_export(tmp_path):
         assert (renders(tmp_path / "newer.ply") - images).abs().max() < 0.01
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps({"transform": frame[:2].tolist(), "scale": 1}))
     with pytest.raises(UserError, match=r"dataparser_transforms\.json"):
-        cameras_beside(tmp_path / "splat.ply", None, (0.0, 0.0, 0.0), "z")
+        cameras_beside(tmp_path / "splat.ply", None, read_saved(tmp_path / "splat.ply"), "z")
+
+
+def test_cameras_in_the_axes_of_a_file_are_turned_with_it(tmp_path, caplog):
+    """A trainer's cameras have the frame of its splat, whichever axis of it is up; others are in OpenCV's."""
+    images, cameras, _ = photographed_wall(3)
+    away = Similarity(torch.tensor(1.0), torch.eye(3), torch.tensor([0.0, 2, 5]))
+    away.gaussians(wall()).save(tmp_path / "silent.ply")
+    data = PlyData.read(tmp_path / "silent.ply")
+    PlyData(list(data.elements), comments=["Vertical Axis: z"]).write(tmp_path / "splat.ply")
+    alike = away.poses(cameras.world_from_camera)
+    upright = turn("z", "opencv", alike).poses(alike)
+    for poses, told in ((alike, "it are, too"), (upright, "it are not")):
+        transforms(tmp_path, replace(cameras, world_from_camera=poses))
+        with torch.no_grad():
+            assert (renders(tmp_path / "splat.ply") - images).abs().max() < 0.01
+        assert f"for z is up in their file, and the cameras beside {told}" in caplog.text
 
 
 @pytest.fixture
@@ -82,7 +100,8 @@ def test_a_run_of_3dgs_is_a_scene_with_its_cameras(run, tmp_path):
     stylize.main([str(run), "--text", "red dots", "--out", str(tmp_path / "out"), *SHORT])
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["inputs"] == ["IMG_0", "IMG_2"] and report["reconstruction"]["cameras"] == "stored"
-    beside = cameras_beside(tmp_path / "out" / "scene.ply", None, (0.0, 0.0, 0.0), "opencv")
+    made = tmp_path / "out" / "scene.ply"
+    beside = cameras_beside(made, None, read_saved(made), "opencv")
     assert sorted(beside) == ["IMG_0", "IMG_2"]  # a result's file has the cameras of its folder
     film.main([str(run), "--out", str(tmp_path / "film.mp4"), "video.frames=2", "video.height=32"])
     assert (tmp_path / "film.mp4").stat().st_size

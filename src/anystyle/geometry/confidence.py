@@ -48,7 +48,7 @@ class ViewConfidence(Value):
         """Of a batch of one scene and the cameras of its photographs."""
         points = gaussians.means[0, gaussians.opacities[0] > OPAQUE]
         points = points[:: -(-len(points) // POINTS) or 1]
-        inside = _projected(points, cameras, MARGIN)[1]
+        inside = projected(points, cameras, MARGIN)[1]
         directions = F.normalize(cameras.world_from_camera[0, :, None, :3, 3] - points, dim=-1) * inside[..., None]
         nearest = _nearest_cosines(directions[:, ::8])
         between, (least, most) = torch.acos(nearest[nearest > 0].clamp(max=1)), SPACING
@@ -56,7 +56,7 @@ class ViewConfidence(Value):
 
     def __call__(self, camera: Cameras) -> Float[Tensor, "1 H W"]:
         """In [0, 1], of each pixel of one camera."""
-        (position,), (inside,) = _projected(self.points, camera)
+        (position,), (inside,) = projected(self.points, camera)
         sides = self.points.new_tensor([CELLS[1] / camera.size[1], CELLS[0] / camera.size[0]])
         last = torch.tensor([CELLS[1] - 1, CELLS[0] - 1], device=sides.device)
         column, row = (position[inside, :2] * sides).long().minimum(last).unbind(1)  # a product may be rounded up
@@ -87,7 +87,7 @@ def _nearest_cosines(directions: Float[Tensor, "V P 3"]) -> Float[Tensor, "V P"]
     return torch.stack(nearest)
 
 
-def _projected(
+def projected(
     points: Float[Tensor, "P 3"], cameras: Cameras, margin: float = 0.0
 ) -> tuple[Float[Tensor, "V P 3"], Bool[Tensor, "V P"]]:
     """Pixels and depths of points in all views of one scene, and whether they are in the image."""

@@ -14,6 +14,7 @@ from msgspec import Meta
 from anystyle.contracts import StoredCamera
 from anystyle.data.poses import stored_cameras, view_camera
 from anystyle.errors import UserError
+from anystyle.geometry.confidence import projected
 from anystyle.io.documents import read_json
 from anystyle.io.splats import Offset
 from anystyle.paths import distinct, short_names
@@ -26,6 +27,8 @@ _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
 Side = Annotated[int, Meta(gt=0, le=100_000)]
 """Pixels of a picture's height or width."""
+MORE = 2
+"""Cameras are taken to have the axes of a file where they then see more Gaussians by this factor."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ def with_stored_cameras(
 
     Arguments are those of :func:`cameras_beside`.
     """
-    stored = {} if scene.names else cameras_beside(path, stored_in, scene.offset, own_up)
+    stored = {} if scene.names else cameras_beside(path, stored_in, scene, own_up)
     names = short_names([PurePosixPath(name) for name in stored])
     return with_cameras(scene, dict(zip(names, stored.values(), strict=True))) if stored else scene
 
@@ -78,17 +81,18 @@ def commonest_size(cameras: Iterable[StoredCamera]) -> tuple[int, int]:
     return Counter(camera.size for camera in cameras).most_common(1)[0][0]
 
 
-def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: str) -> dict[str, StoredCamera]:
+def cameras_beside(path: Path, stored_in: str | None, scene: StyledScene, own_up: str) -> dict[str, StoredCamera]:
     """The cameras stored in a folder, or else beside a file or one folder above; empty where there are none.
 
     A PLY of 3DGS in ``point_cloud/iteration_N`` has those of its run. They are moved to the scene: without its offset,
-    and to the frame of nerfstudio's model where ``dataparser_transforms.json`` says it.
+    to the frame of nerfstudio's model where ``dataparser_transforms.json`` says it, and else out of the file's own axes
+    where they are in these.
 
     Args:
         path: The scene's file.
         stored_in: The folder, if one is given.
-        offset: Of the scene.
-        own_up: Axes of the file itself; the scene, and the cameras, are in OpenCV's.
+        scene: In OpenCV's axes.
+        own_up: Axes of the file itself.
     """
     folders = [path.parent, path.parent.parent] if stored_in is None else [Path(stored_in)]
     if stored_in is None and path.parent.name.startswith("iteration_"):
@@ -97,8 +101,12 @@ def cameras_beside(path: Path, stored_in: str | None, offset: Offset, own_up: st
         file = folder / "cameras.json"
         is_own = file.is_file() and b'"world_from_camera"' in file.read_bytes()[:4096]  # and not of another program
         stored = own_cameras(file) if is_own else stored_cameras(folder)
+        frames = (each / "dataparser_transforms.json" for each in (folder, *folders))
+        if stored and (frame := next(filter(Path.is_file, frames), None)) is not None:
+            return _in_model(_without(scene.offset, stored), frame, own_up)
         if stored:
-            return _in_model(_without(offset, stored), [folder, *folders], own_up)
+            alike = is_own or own_up == "opencv"
+            return _without(scene.offset, stored) if alike else _turned(stored, scene, own_up)
     return {}
 
 
@@ -113,11 +121,8 @@ def _without(offset: Offset, stored: dict[str, StoredCamera]) -> dict[str, Store
     }
 
 
-def _in_model(stored: dict[str, StoredCamera], folders: list[Path], own_up: str) -> dict[str, StoredCamera]:
-    """Cameras in the frame of the splat that ``ns-export`` wrote, where the file of that frame is beside it."""
-    file = next((each for folder in folders if (each := folder / "dataparser_transforms.json").is_file()), None)
-    if file is None:
-        return stored
+def _in_model(stored: dict[str, StoredCamera], file: Path, own_up: str) -> dict[str, StoredCamera]:
+    """Cameras in the frame of the splat that ``ns-export`` wrote, by the file of that frame."""
     frame = read_json(file, _ModelFrame, what="frame of nerfstudio's model")
     matrix = np.array(frame.transform)
     to_opencv = turn(own_up, "opencv", torch.zeros((), dtype=torch.float64)).rotation.numpy()
@@ -133,6 +138,30 @@ def _in_model(stored: dict[str, StoredCamera], folders: list[Path], own_up: str)
         return after
 
     return {name: replace(each, world_from_camera=moved(each.world_from_camera)) for name, each in stored.items()}
+
+
+def _turned(stored: dict[str, StoredCamera], scene: StyledScene, own_up: str) -> dict[str, StoredCamera]:
+    """Cameras turned as the scene was from its file's axes, if they see far more of it then; without its offset."""
+    axes = turn(own_up, "opencv", torch.zeros((), dtype=torch.float64))
+    moved = {
+        name: replace(each, world_from_camera=axes.poses(torch.from_numpy(each.world_from_camera)).numpy())
+        for name, each in stored.items()
+    }
+    given, turned = (_without(scene.offset, cameras) for cameras in (stored, moved))
+    alone, together = _seen(scene, given), _seen(scene, turned)
+    both = together > MORE * alone
+    told = "are, too" if both else "are not"
+    line = "the Gaussians are turned, for %s is up in their file, and the cameras beside it %s: turned they see %.0f%% "
+    line += "of the Gaussians, as given %.0f%%; splat.up=opencv turns neither"
+    _log.warning(line, own_up, told, 100 * together, 100 * alone)
+    return turned if both else given
+
+
+def _seen(scene: StyledScene, stored: Mapping[str, StoredCamera]) -> float:
+    """The share of a scene's Gaussians that a camera sees, on average, of up to a thousand of them."""
+    means = scene.styles[-1][1].means[0]
+    _, inside = projected(means[:: -(-len(means) // 1000)], with_cameras(scene, stored).cameras)
+    return float(inside.double().mean())
 
 
 def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:

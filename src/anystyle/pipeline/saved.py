@@ -244,7 +244,7 @@ def cameras_of(
     """
     side = max(multiple, round((views.short_side or side) / multiple) * multiple)
     stored = {} if options.folder else saved_cameras(saved)
-    stored = stored or cameras_beside(path, options.folder, saved.offset, own_up)
+    stored = stored or cameras_beside(path, options.folder, saved, own_up)
     if not stored:
         gaussians, told, up = unstyled_of(saved), "", "opencv"
         if options.up is None and own_up == "opencv":
