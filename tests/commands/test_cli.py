@@ -103,6 +103,8 @@ MISTYPED = {
     "vews.take=3": "'vews.take': Key 'vews' is unknown. Did you mean 'views'?",
     "foo=3": "'foo': Key 'foo' is unknown. --cfg job shows all there are",
     "lerning_rate=3": "'lerning_rate': Key 'lerning_rate' is unknown. --cfg job shows all there are",
+    "+learn_copies=true": "'+learn_copies': Key 'learn_copies' is unknown",
+    "++trainer.max_stepss=3": "'++trainer.max_stepss': Key 'max_stepss' is no option of trainer. Did you mean",
     "losses=foo": "'losses': Key 'losses' is unknown. Did you mean 'loss'?",
     "seed=abc": "seed=abc: expected a number",
     "trainer.max_steps=ten": "trainer.max_steps=ten: expected a number",
@@ -147,7 +149,8 @@ def test_choices_that_are_known_before_torch_are_those_of_their_options():
 
 
 @pytest.mark.parametrize(
-    "words", ["precision=bf16", "trainer.precision=16-Mixed", "resume=auto,never", "precision=null"]
+    "words",
+    ["precision=bf16", "trainer.precision=16-Mixed", "resume=auto,never", "precision=null", "+trainer.profiler=simple"],
 )
 def test_words_that_may_be_right_are_left_to_hydra(words):
     check_choices([words])

@@ -153,15 +153,15 @@ def check_choices(words: Sequence[str]) -> None:
     roots = "".join(file.read_text("utf-8") for file in paths.CONF.glob("*.yaml"))
     written = re.sub("#.*", "", "\n".join((lines, *(file.read_text("utf-8", "replace") for file in files))))
     top = {*re.findall(r"^\w+(?=:)", written, re.MULTILINE), *groups(), *OPTIONS, "hydra"}
-    named = top | {*re.findall(r"\w+(?=:)|(?<=@)\w+", written)}
+    named = top | {*re.findall(r"\w+(?=:)|(?<=@)\w+", written), *(file.parent.name for file in files)}
     for key, _, value in (word.partition("=") for word in words if "=" in word):
         names = re.fullmatch(r"\[?([\w,-]+)\]?", value)
         known = {*choices(key), *(file.stem for file in files if file.parent.name == key)} if key in groups() else {}
         for name in names[1].split(",") if names and known else ():
             if name and name not in known:
                 raise UserError(_no_such(key, name, sorted(known)))
-        first, *inner = key.split(".") if re.fullmatch(r"\w[\w.]*", key) else ("hydra",)
-        if first not in named:
+        first, *inner = bare.split(".") if re.fullmatch(r"\w[\w.]*", bare := key.lstrip("+")) else ("hydra",)
+        if first not in named and not re.search(rf"\${{[^}}]*\b{first}\b", written):
             near = did_you_mean(first, top) or " --cfg job shows all there are"
             raise UserError(f"Could not override '{key}': Key '{first}' is unknown.{near}")
         depth = 1 + (first in MANY)
