@@ -82,6 +82,7 @@ def test_differences_are_named_up_to_five_of_a_kind():
     state = network().state_dict()
     state["0.weight"] = torch.zeros(9, 9)
     del state["0.bias"]
+    state["1.running_mean"] = state["1.running_mean"].long()
     state |= {f"extra.{place}": torch.zeros(1) for place in range(7)}
     before = {key: tensor.clone() for key, tensor in network().state_dict().items()}
     target = network()
@@ -89,6 +90,7 @@ def test_differences_are_named_up_to_five_of_a_kind():
         load_strictly(target, state, source="file.safetensors")
     message = str(caught.value)
     assert "1 missing (0.bias)" in message and "0.weight is [9, 9], not [4, 3]" in message
+    assert "1 integer (1.running_mean)" in message
     assert "7 unexpected (extra.0, extra.1, extra.2, extra.3, extra.4, …)" in message
     assert all(torch.equal(tensor, before[key]) for key, tensor in target.state_dict().items())
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special, stats
 
-from anystyle.ranges import Range
+from anystyle.ranges import AtLeastOne, Range
 from anystyle_study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
 from anystyle_study.statistics import crossed_mean, one_sided, superiority, t_interval, t_pvalue
 
@@ -114,7 +114,7 @@ class SignFlip(Significance):
 
     units: ClassVar[tuple[Unit, ...]] = ("participant",)
 
-    resamples: int = 9999
+    resamples: AtLeastOne = 9999
     seed: int = 0
 
     def __call__(self, responses: Responses) -> TestResult:

@@ -142,9 +142,11 @@ class Session:
         return join(["anystyle", "stylize", *args, "--out", f"styled-{name}"])
 
     def image_file(self, style: str) -> Path | None:
-        """The file of a style that is an uploaded image; a path to any other file is taken as a text."""
-        inside = self.folder is not None and len(style) < 4096 and Path(style).parent == self.folder
-        return Path(style) if inside and "\0" not in style and Path(style).is_file() else None
+        """The uploaded image of a style, wherever the folder was then; a path to any other file is taken as a text."""
+        if self.folder is None or len(style) >= 4096 or "\0" in style:
+            return None
+        file = self.folder / Path(style).name  # which ends in a hash of the image
+        return file if file.is_file() else None
 
     def scene(self, request: StyleRequest) -> Gaussians:
         """The Gaussians in a style."""

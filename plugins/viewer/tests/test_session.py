@@ -233,6 +233,7 @@ def test_a_picture_is_kept_once_and_another_of_its_name_beside_it(tmp_path, rest
     session = Session(restyler, folder=tmp_path / "kept")
     settled(session, StyleRequest(str(kept[0])))
     assert f"--image {kept[0]}" in session.command("x") and list(session.pictures()) == [title_of(str(kept[0]))]
+    assert session.image_file(f"elsewhere/{kept[0].name}") == kept[0]  # of before the folder was moved
     # Another file of this machine is a text like any other.
     assert session.image_file(str(tmp_path / "red.jpg")) is None and session.image_file("../red.jpg") is None
     session.close()

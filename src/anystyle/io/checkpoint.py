@@ -133,12 +133,13 @@ def load_strictly(module: nn.Module, state: Mapping[str, Tensor], *, source: str
 
 
 def differences(expected: Mapping[str, Tensor], state: Mapping[str, Tensor]) -> str:
-    """How names and shapes of tensors differ from those expected, up to five of each kind; empty if they agree."""
+    """How names, shapes and types of tensors differ from those expected, up to five each; empty if they agree."""
     shapes = {key: (list(state[key].shape), list(tensor.shape)) for key, tensor in expected.items() if key in state}
     found = {
         "missing": [key for key in expected if key not in state],
         "unexpected": [key for key in state if key not in expected],
         "misshapen": [f"{key} is {ours}, not {theirs}" for key, (ours, theirs) in shapes.items() if ours != theirs],
+        "integer": [key for key in shapes if state[key].is_floating_point() < expected[key].is_floating_point()],
     }
     listed = {kind: ", ".join([*keys[:5], *["…"] * (len(keys) > 5)]) for kind, keys in found.items()}
     return "; ".join(f"{len(found[kind])} {kind} ({text})" for kind, text in listed.items() if text)

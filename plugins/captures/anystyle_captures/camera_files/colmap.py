@@ -20,7 +20,7 @@ from anystyle.io.colmap import MODELS, NUM_PARAMETERS, Camera, Model, PosedImage
 from anystyle.io.documents import read_bytes
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.conversion import by_name, camera, finished
-from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
+from anystyle_captures.camera_files.lens import MAX_SIDE, PANORAMAS, Lens
 
 _log = logging.getLogger(__name__)
 ONE_FOCAL = frozenset(
@@ -84,7 +84,7 @@ def _holds(model: Model, images: Sequence[Path]) -> tuple[int, int]:
 
 def _lens(stored: Camera, path: Path) -> Lens:
     if stored.model == "EQUIRECTANGULAR":
-        raise UserError(f"{path} has EQUIRECTANGULAR cameras, whose images are panoramas; poses=sfm cuts them")
+        raise UserError(f"{path} has EQUIRECTANGULAR cameras, whose images are panoramas; {PANORAMAS}")
     (fx, fy, cx, cy), terms = split(stored)
     if stored.model not in _POLYNOMIAL or (stored.model == "FULL_OPENCV" and any(terms[5:])):
         return Lens(stored.size, (fx, fy), (cx, cy), colmap=stored)

@@ -18,6 +18,8 @@ from anystyle_captures.sfm.colmap import load_pycolmap
 
 MAX_SIDE = 1 << 20
 """Pixels that an image may be wide or high for a camera of it to be believed."""
+PANORAMAS = "poses=sfm cuts them; beside a scene of Gaussians, splat.folder=EMPTY_FOLDER chooses cameras around it"
+"""What to do about cameras of panoramas."""
 NEGLIGIBLE = 0.1
 """Displacement in pixels, anywhere in the photograph, that is not corrected."""
 MAX_SLOPE = 2.5

@@ -18,7 +18,7 @@ from anystyle.io.documents import read_json
 from anystyle.ranges import Positive
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, TOLERANCE, by_name, camera, finished, rigid
-from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
+from anystyle_captures.camera_files.lens import MAX_SIDE, PANORAMAS, Lens
 
 _log = logging.getLogger(__name__)
 _SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
@@ -62,7 +62,7 @@ class _Frame(msgspec.Struct):
             raise UserError("there is no focal length: neither fl_x nor camera_angle_x")
         model = values["camera_model"] or "OPENCV"
         if model == "EQUIRECTANGULAR":
-            raise UserError("the images are panoramas (EQUIRECTANGULAR); poses=sfm cuts them")
+            raise UserError(f"the images are panoramas (EQUIRECTANGULAR); {PANORAMAS}")
         if model not in _MODELS:
             raise UserError(f"camera_model {model[:40]} is not one of {', '.join(_MODELS)}; undistort the images first")
         k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
