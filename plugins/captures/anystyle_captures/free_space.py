@@ -42,8 +42,7 @@ class FreeSpace(Value):
         if bool(stereo.depth.isposinf().any()):
             known[stereo.depth.isposinf()] = BEFORE_SKY * farthest(stereo)
         # The nearest around a pixel: beside an outline, cameras that are not exact see past what is there.
-        nearest = -max_pool2d(-known, AROUND, 1, AROUND // 2)
-        return cls(torch.where(known.isfinite(), nearest, nan), cameras)
+        return cls(torch.where(known.isfinite(), -max_pool2d(-known, AROUND, 1, AROUND // 2), nan), cameras)
 
     @torch.no_grad()
     def contains(self, points: Float[Tensor, "N 3"]) -> Bool[Tensor, " N"]:

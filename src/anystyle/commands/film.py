@@ -12,10 +12,9 @@ from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.launch import job_folder, launch
 from anystyle.cli.run import run, words_of
 from anystyle.contracts import Renderer
-from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
-from anystyle.pipeline.beside import saved_cameras, with_stored_cameras
+from anystyle.pipeline.beside import saved_cameras, with_cameras, with_stored_cameras
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.film import Film
 from anystyle.pipeline.load import default_device
@@ -24,7 +23,6 @@ from anystyle.pipeline.request import file_of
 from anystyle.pipeline.saved import PAINTED, cameras_of, made_at, read_unturned, tidied
 from anystyle.registry.build import build
 from anystyle.registry.compose import options
-from anystyle.types import Cameras, SourceImage
 
 KEYS = """\
   video.path=smooth|orbit|camera_path.json        video.frames=72 video.fps=24 video.height=1080 video.stills=0
@@ -63,9 +61,7 @@ def film(config: DictConfig, arguments: argparse.Namespace) -> None:
         cameras, sources, _ = cameras_of(path, saved, ViewOptions(), splat, render, 2, side, given.up)
         saved = replace(saved, cameras=cameras, names=tuple(each.name for each in sources), photographed=False)
     elif size is not None:  # photographs may be larger than the views that the scene was made of
-        stored = saved_cameras(saved).items()
-        views = [view_camera(camera, SourceImage.covering(name, camera.size, size)) for name, camera in stored]
-        saved = replace(saved, cameras=Cameras.cat(views, dim=1))
+        saved = with_cameras(saved, saved_cameras(saved), size)
     titles = [title for title, _ in saved.styles]
     quoted = f"“{arguments.style}”"  # as a text is titled
     title = quoted if quoted in titles else arguments.style or titles[-1]

@@ -67,8 +67,7 @@ def unread(folders: Iterable[Path]) -> str | None:
     above = (place / name for each in given for place in (each, *each.parents[:2]) for name in ("", *_INSIDE))
     for each, (pattern, advice) in product(dict.fromkeys((*above, *inside)), UNREAD.items()):
         holds = _HOLDS.get(pattern, b"")
-        files = (file for file in each.glob(pattern) if not holds or holds in file.read_bytes())
-        if path := next(files, None):
+        if path := next((file for file in each.glob(pattern) if not holds or holds in file.read_bytes()), None):
             return f"the cameras in {path} are not read: {advice}; poses=known poses_from=PATH reads the result"
     return None
 

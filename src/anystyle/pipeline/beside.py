@@ -15,6 +15,7 @@ from anystyle.contracts import StoredCamera
 from anystyle.data.poses import stored_cameras, view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.confidence import projected
+from anystyle.geometry.transforms import Similarity
 from anystyle.io.documents import read_json
 from anystyle.io.splats import Offset
 from anystyle.paths import distinct, short_names
@@ -69,9 +70,11 @@ def with_stored_cameras(
     return with_cameras(scene, dict(zip(names, stored.values(), strict=True))) if stored else scene
 
 
-def with_cameras(scene: StyledScene, stored: Mapping[str, StoredCamera]) -> StyledScene:
-    """A scene with cameras by the names of their views, all at the commonest of their sizes."""
-    size = commonest_size(stored.values())
+def with_cameras(
+    scene: StyledScene, stored: Mapping[str, StoredCamera], size: tuple[int, int] | None = None
+) -> StyledScene:
+    """A scene with cameras by the names of their views, all of one size, by default the commonest."""
+    size = size or commonest_size(stored.values())
     views = [view_camera(camera, SourceImage.covering(name, camera.size, size)) for name, camera in stored.items()]
     return replace(scene, cameras=Cameras.cat(views, dim=1), names=tuple(stored))
 
@@ -115,39 +118,33 @@ def _without(offset: Offset, stored: dict[str, StoredCamera]) -> dict[str, Store
     centers = np.array([camera.world_from_camera[:3, 3] for camera in stored.values()]).reshape(-1, 3)
     if np.abs(centers - offset).sum() >= np.abs(centers).sum():
         return stored
-    shift = np.pad(np.array(offset)[:, None], ((0, 1), (3, 0)))
+    one = torch.ones((), dtype=torch.float64)
+    return _moved(stored, Similarity(one, torch.eye(3).double(), -torch.tensor(offset, dtype=torch.float64)))
+
+
+def _moved(stored: dict[str, StoredCamera], similarity: Similarity) -> dict[str, StoredCamera]:
+    """Cameras in another frame."""
     return {
-        name: replace(camera, world_from_camera=camera.world_from_camera - shift) for name, camera in stored.items()
+        name: replace(each, world_from_camera=similarity.poses(torch.from_numpy(each.world_from_camera)).numpy())
+        for name, each in stored.items()
     }
 
 
 def _in_model(stored: dict[str, StoredCamera], file: Path, own_up: str) -> dict[str, StoredCamera]:
     """Cameras in the frame of the splat that ``ns-export`` wrote, by the file of that frame."""
     frame = read_json(file, _ModelFrame, what="frame of nerfstudio's model")
-    matrix = np.array(frame.transform)
-    to_opencv = turn(own_up, "opencv", torch.zeros((), dtype=torch.float64)).rotation.numpy()
-    rotation = to_opencv @ matrix[:, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+    matrix, scale = torch.tensor(frame.transform, dtype=torch.float64), torch.tensor(frame.scale, dtype=torch.float64)
+    rotation = matrix[:, :3]
+    if (rotation @ rotation.T - torch.eye(3)).abs().max() > 1e-3:
         raise UserError(f"{file}: transform has no rotation in it")
     _log.warning("the cameras are moved to the frame of nerfstudio's model by %s", file)
-
-    def moved(pose: np.ndarray) -> np.ndarray:
-        after = np.eye(4)
-        after[:3, :3] = rotation @ pose[:3, :3]
-        after[:3, 3] = frame.scale * (rotation @ pose[:3, 3] + to_opencv @ matrix[:, 3])
-        return after
-
-    return {name: replace(each, world_from_camera=moved(each.world_from_camera)) for name, each in stored.items()}
+    return _moved(stored, turn(own_up, "opencv", scale).after(Similarity(scale, rotation, scale * matrix[:, 3])))
 
 
 def _turned(stored: dict[str, StoredCamera], scene: StyledScene, own_up: str) -> dict[str, StoredCamera]:
     """Cameras turned as the scene was from its file's axes, if they see far more of it then; without its offset."""
     axes = turn(own_up, "opencv", torch.zeros((), dtype=torch.float64))
-    moved = {
-        name: replace(each, world_from_camera=axes.poses(torch.from_numpy(each.world_from_camera)).numpy())
-        for name, each in stored.items()
-    }
-    given, turned = (_without(scene.offset, cameras) for cameras in (stored, moved))
+    given, turned = (_without(scene.offset, cameras) for cameras in (stored, _moved(stored, axes)))
     alone, together = _seen(scene, given), _seen(scene, turned)
     both = together > MORE * alone
     told = "are, too" if both else "are not"

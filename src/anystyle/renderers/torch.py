@@ -100,5 +100,4 @@ def blend(
     after = (1 - alpha).cumprod(dim=0)  # transmittance behind each Gaussian
     alpha = torch.where(after > MIN_TRANSMITTANCE, alpha, 0)
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
-    image = torch.einsum("thw,tc->chw", alpha * before, payload)
-    return torch.cat([image, (1 - alpha).prod(dim=0)[None]])
+    return torch.cat([torch.einsum("thw,tc->chw", alpha * before, payload), (1 - alpha).prod(dim=0)[None]])

@@ -88,8 +88,7 @@ def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B 
     """
     if not math.isfinite(points.detach().abs().amax()):
         raise ValueError("points to fuse are infinite or not a number; the predicted depth or cameras have diverged")
-    cells = (points.detach() / voxel_size).round().long()
-    index = torch.stack([lexicographic_ranks(scene) for scene in cells])
+    index = torch.stack([lexicographic_ranks(scene) for scene in (points.detach() / voxel_size).round().long()])
     counts = index.amax(dim=1) + 1
     size = int(counts.max())
     valid = torch.arange(size, device=points.device) < counts[:, None]

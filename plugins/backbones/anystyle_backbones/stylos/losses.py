@@ -107,8 +107,7 @@ class AdainVoxels(FeatureLoss):
         side = self.voxel_size * (points[0, 0].numel() / (height * width)) ** 0.5
         points = F.interpolate(points, (height, width), mode="nearest-exact").movedim(1, -1).flatten(0, 2)
         confidence = F.interpolate(logits[row].detach()[:, None], (height, width), mode="bilinear").flatten()
-        clusters = voxel_clusters(points[None], confidence[None], side)
-        return (fuse(flat.mT[None], clusters)[0].mT,)
+        return (fuse(flat.mT[None], voxel_clusters(points[None], confidence[None], side))[0].mT,)
 
 
 def _distance(one: Float[Tensor, "C n"], other: Float[Tensor, "C m"]) -> Float[Tensor, ""]:

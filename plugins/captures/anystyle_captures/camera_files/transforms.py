@@ -115,8 +115,7 @@ class Transforms(CameraReader):
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
         files = _splits(path) if path.is_dir() else [path]
-        cameras = [one for file in files for one in _cameras(file, images)]
-        return finished(by_name(cameras, path), images)
+        return finished(by_name([one for file in files for one in _cameras(file, images)], path), images)
 
 
 def _splits(folder: Path) -> list[Path]:
