@@ -58,5 +58,5 @@ def test_pixels_are_normalised_and_counted_in_patches() -> None:
     images = mean.expand(2, 3, 28, 42) + std
     torch.testing.assert_close(normalised(images), torch.ones(2, 3, 28, 42))
     assert grid_of(images, 14) == (2, 3)
-    with pytest.raises(ValueError, match="28x42 pixels; both sides must be multiples of 16: resize them"):
+    with pytest.raises(ValueError, match="28x42 pixels; sides must be multiples of 16: resize them"):
         grid_of(images, 16)

@@ -202,9 +202,7 @@ def bind(inputs: Inputs, root: Path) -> Lock:
         return lock
     kept = read_lock(root)
     if kept.digest != lock.digest:
-        raise UserError(
-            f"{root} cannot hold results of {inputs.file}: {_of_other_track(kept, lock)}; use another folder"
-        )
+        raise UserError(f"{root} cannot hold results of {inputs.file}: {_of_other_track(kept, lock)}; use another")
     return lock
 
 

@@ -49,9 +49,7 @@ def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None
     if arguments.out.exists() and (result or (arguments.scene.exists() and arguments.out.samefile(arguments.scene))):
         raise UserError(f"{arguments.out} is the scene itself, or part of a result; name another file with --out")
     if (arguments.scene / "report.json").is_file() and (arguments.from_up or overrides):
-        raise UserError(
-            "a folder of results is in OpenCV's axes; --from-up and splat.KEY=VALUE are for files of others"
-        )
+        raise UserError("a folder of results is in OpenCV's axes; --from-up and splat.KEY=VALUE are for other files")
     splat = only_options("splat", overrides) if overrides else SplatOptions()
     splat = replace(
         splat,

@@ -122,9 +122,7 @@ def decoded(data: bytes, remarks: Remarks) -> Gaussians:
     header = data if packed else stream.read(16)
     magic, version, count, degree, bits, _, streams = struct.unpack_from("<IIIBBBB", header)
     if magic != MAGIC or packed != (version >= _ZSTD) or not 1 <= version <= _ZSTD or degree > 4:
-        raise ValueError(
-            f"version {version} with harmonics of degree {degree}; versions 1 to 4 and degrees 0 to 4 exist"
-        )
+        raise ValueError(f"version {version} with degree {degree}; versions 1 to 4 and degrees 0 to 4 exist")
     count, higher = room_for(remarks.path, count), (degree + 1) ** 2 - 1
     widths = [6 if version == _HALVES else 9, 1, 3, 3, 3 if version <= _FIRST_THREE else 4, 3 * higher]
     size = count * sum(widths)

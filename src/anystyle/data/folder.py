@@ -291,9 +291,7 @@ def _film_of(folder: Path) -> list[Path]:
     if films:
         raise UserError(f"there are {len(films)} films in the folder {folder}; name one: {listing(films)}")
     if raw:
-        raise UserError(
-            f"the {len(raw)} photographs in the folder {folder} are not developed ({_kinds(raw)}); {_DEVELOP}"
-        )
+        raise UserError(f"the {len(raw)} photographs in {folder} are not developed ({_kinds(raw)}); {_DEVELOP}")
     others = _kinds([path for path in folder.glob("[!.]*") if path.suffix and path.is_file()])
     held = f"; its files are {others} (a scene is named by its file)" if others else ""
     raise UserError(f"there are no images in the folder {folder}{held}")

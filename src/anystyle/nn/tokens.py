@@ -41,9 +41,7 @@ def grid_of(images: Float[Tensor, "*batch 3 H W"], patch_size: int) -> tuple[int
     height, width = images.shape[-2:]
     rows, columns = height // patch_size, width // patch_size
     if (height, width) != (rows * patch_size, columns * patch_size) or not rows * columns:
-        raise UserError(
-            f"images are {height}x{width} pixels; both sides must be multiples of {patch_size}: resize them"
-        )
+        raise UserError(f"images are {height}x{width} pixels; sides must be multiples of {patch_size}: resize them")
     return rows, columns
 
 

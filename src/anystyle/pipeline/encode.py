@@ -216,9 +216,7 @@ def _encode_splat(given: "ReadSplat", stylizer: Stylizer, stages: Stages) -> Enc
 def _tell_blind(alpha: Float[Tensor, "V H W"], sources: Sequence[SourceImage]) -> None:
     """Name the cameras that see hardly anything of a given scene, and refuse where none sees more."""
     blind = [source.name for source, share in zip(sources, alpha.mean((1, 2)).tolist(), strict=True) if share < SEEN]
-    remedy = (
-        "splat.folder=FOLDER reads the cameras of another folder; of an empty one, they are chosen around the scene"
-    )
+    remedy = "splat.folder=FOLDER reads cameras of another folder; of an empty one, they are chosen around the scene"
     if len(blind) == len(sources):
         raise UserError(
             f"none of the {len(sources)} cameras sees more than {SEEN:.0%} of the scene: it is faint, or they are of "

@@ -153,9 +153,7 @@ def parsed(word: str) -> Mask:
                 return Box((left, top, front), (right, bottom, back), **options)
     except ValueError as error:
         reason = f" ({error})" if isinstance(error, UserError) else ""
-    raise UserError(
-        f"the mask {word!r} is not valid{reason}; give a folder, {SHAPES}, with ,soft=WIDTH for a soft edge"
-    )
+    raise UserError(f"the mask {word!r} is invalid{reason}; give a folder, {SHAPES}, with ,soft=WIDTH for a soft edge")
 
 
 def _text(kind: str, numbers: Sequence[float], soft: float) -> str:

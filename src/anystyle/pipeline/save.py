@@ -128,9 +128,7 @@ def write(results: Results, folder: Path) -> Failures:
             raise ending
         for unfinished in folder.glob(f"{len(made) + 1:02d}-*"):
             shutil.rmtree(unfinished)
-        line = (
-            "%d of %d styles are in %s; the same command makes all, and `anystyle stylize %s` others of the same scene"
-        )
+        line = "%d of %d styles are in %s; the same command makes all, and `anystyle stylize %s` others of its scene"
         _log.warning(line, len(made), len(results), final(folder), final(folder))
     with run.stages("write", "what the styles have in common"):
         save_gaussians(run.unstyled, folder / "unstyled.safetensors")

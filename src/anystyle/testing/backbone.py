@@ -264,10 +264,8 @@ def test_a_published_file_becomes_a_stylizer(plugin: Subject[Backbone]) -> None:
         return
     rest = [override(f"backbone.{key}", value) for key, value in plugin.options.items() if key not in options]
     stylizer = load_reference(file, overrides=[f"backbone={name}", *rest])
-    asserts.same(stylizer.backbone.state_dict(), own, "weights of a stylizer that was made of a file")
-    asserts.finite(
-        stylizer.unstyled(stylizer.encode(_views(plugin))), "Gaussians of a stylizer that was made of a file"
-    )
+    asserts.same(stylizer.backbone.state_dict(), own, "weights of a stylizer made of a file")
+    asserts.finite(stylizer.unstyled(stylizer.encode(_views(plugin))), "Gaussians of a stylizer made of a file")
 
 
 def _published_file(plugin: Subject[Backbone], published: Published) -> dict[str, Tensor]:

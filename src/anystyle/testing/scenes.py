@@ -61,9 +61,7 @@ def test_views_agree(plugin: Subject[SceneSource]) -> None:
     color, depth = _disagreement(views, views.depth)
     places = "are poses world_from_camera, in OpenCV axes and the unit of the depth, and intrinsics in pixels?"
     assert depth < 0.05, f"depth differs by {depth:.1%} from that of the next view; {places}"
-    worse = (
-        f"colours of the next view differ by {color:.3f} where the cameras say, and by {still:.3f} at the same pixel"
-    )
+    worse = f"colours of the next view differ by {color:.3f} as the cameras say, and by {still:.3f} at the same pixel"
     assert color <= max(0.45 * float(still), 0.02), f"{worse}; {places}"
     unit = Geometry(views.cameras, torch.ones_like(views.depth), views.depth).points()
     rays = (unit - views.cameras.world_from_camera[..., None, None, :3, 3]).norm(dim=-1)
@@ -72,9 +70,7 @@ def test_views_agree(plugin: Subject[SceneSource]) -> None:
     for half in (0.5, -0.5):  # as in programs that count from the middle of the first pixel; depth must be accurate
         lenses = views.cameras.intrinsics + half * torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
         moved = _disagreement(replace(views, cameras=replace(views.cameras, intrinsics=lenses)), views.depth)[1]
-        told = (
-            f"depth agrees better with principal points moved by {half} pixels; the first pixel's middle is (0.5, 0.5)"
-        )
+        told = f"depth agrees better with principal points moved by {half} pixels; the first's middle is (0.5, 0.5)"
         assert depth < max(1e-5, 2 * moved), told
 
 

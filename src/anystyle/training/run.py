@@ -186,9 +186,7 @@ def _finished(config: DictConfig, out: Path) -> Outcome | None:
     if (resumed := resumable(config, out / "last.ckpt")) is None:
         return None
     if (name := config.checkpoint.best) and not (out / BEST).is_dir():
-        raise UserError(
-            f"checkpoint.best={name}: {out} has ended and kept no best weights; resume=never starts it again"
-        )
+        raise UserError(f"checkpoint.best={name}: {out} has ended without best weights; resume=never starts it again")
     if read_header(weights[0]).provenance.get("half", config.export.half) != config.export.half:
         return None  # the same weights are written once more
     metrics = {name: as_number(value) for name, value in stored.items()}

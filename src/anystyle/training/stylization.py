@@ -108,9 +108,7 @@ class StylizationTraining(Training):
         if not losses:
             raise UserError("there is nothing to learn from; add loss=[content,style,clip_directional]")
         if stylizer.branch.reads_tokens and text_ratio > 0:
-            raise UserError(
-                "this style branch reads the tokens of images, and texts have none; set training.text_ratio=0"
-            )
+            raise UserError("this style branch reads tokens of images, and texts have none; set training.text_ratio=0")
         self.stylizer = stylizer
         for copied in (stylizer.branch.aggregator, stylizer.branch.gaussian_head):
             if copied is not None and not learn_copies:

@@ -59,9 +59,7 @@ class AdainVoxels(FeatureLoss):
     ) -> None:
         super().__init__(network, layers, size, weight)
         if len(layers) > len(layer_weights) or len(layers) < 2:
-            raise UserError(
-                f"{len(layers)} layers and {len(layer_weights)} weights; give two layers or more, a weight each"
-            )
+            raise UserError(f"{len(layers)} layers and {len(layer_weights)} weights; give at least two, a weight each")
         self.pool, self.content_weight, self.voxel_size = pool, content_weight, voxel_size
         chosen = layer_weights[: len(layers)]
         self.layer_weights = [1.0] * len(layers) if pool == "image" else [one / sum(chosen) for one in chosen]

@@ -110,9 +110,7 @@ def _why_failed(graph: ViewGraph, rotation_share: float) -> str:
         return f"{count} photographs overlap, and at least {MIN_VIEWS} are needed to find where cameras were"
     if rotation_share >= MAX_ROTATION_SHARE:
         return "the camera turned without moving, which shows no depth; take a step sideways between photographs"
-    return (
-        "the photographs share too little for a model of three of them; take more of them, with smaller steps between"
-    )
+    return "the photographs share too little for a model of three of them; take more, with smaller steps between"
 
 
 def _largest_group(count: int, pairs: Sequence[VerifiedPair]) -> list[int]:
