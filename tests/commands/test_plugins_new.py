@@ -11,6 +11,7 @@ import pytest
 from anystyle.commands import plugins_check, plugins_new
 from anystyle.errors import UserError
 from anystyle.registry.catalog import kinds
+from anystyle.registry.compose import compose
 from tests.support.refusals import raises_line
 
 ROOT = Path(__file__).parents[2]
@@ -38,6 +39,11 @@ def test_a_new_plugin_is_found_and_keeps_its_contract(kind, listed, capsys):
     assert plugins_check.main([kind, f"my_{kind}"]) == 0
     assert f"{kind} 'my_{kind}' (anystyle_my_{kind}:" in capsys.readouterr().out
     assert "Toy" not in (listed / f"my_{kind}" / f"anystyle_my_{kind}.py").read_text()
+
+
+@pytest.mark.usefixtures("listed")
+def test_a_new_injector_fits_the_recipe_of_the_ablation():
+    assert compose("train", ["experiment=tiny_ablation", "injector=my_injector"]).injector.gain == 11.3
 
 
 def test_it_is_formatted_as_the_project_is(written):

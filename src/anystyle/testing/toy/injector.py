@@ -14,15 +14,15 @@ class ToyInjector(Injector):
     Args:
         dim: Channels at the site; the framework passes it.
         style_dim: Dimensions of the style embedding; the framework passes it.
-        bias: Whether every style shares a part of the scaling.
+        gain: Factor of the embedding, a unit vector. The recipes of small models set it.
     """
 
-    def __init__(self, *, dim: int, style_dim: int, bias: bool = True) -> None:
+    def __init__(self, *, dim: int, style_dim: int, gain: float = 1.0) -> None:
         super().__init__()
-        self.scale = nn.Linear(style_dim, dim, bias=bias)
+        self.gain, self.scale = gain, nn.Linear(style_dim, dim)
         for parameter in self.scale.parameters():
             nn.init.zeros_(parameter)  # at initialisation every factor is exactly 1
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
-        factor = torch.ones_like(tokens.patches[:, :1, :1]) + self.scale(style)[:, None, None]  # B 1 1 C
+        factor = torch.ones_like(tokens.patches[:, :1, :1]) + self.scale(self.gain * style)[:, None, None]  # B 1 1 C
         return tokens.with_patches(tokens.patches * factor)
