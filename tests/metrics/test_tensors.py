@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import warnings
+from typing import Any
 
 import pytest
 import torch
@@ -64,6 +65,9 @@ def test_the_door_is_cheap_and_says_what_it_lacks():
     assert done.stdout.split() == ["False", "True"]
     with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
         _ = anystyle.metrics.Nothing
+    every = dict[str, Any]()
+    exec("from anystyle.metrics import *", every)
+    assert every["PSNR"] is PSNR and "CSD" in every
 
 
 def test_one_update_of_a_collection_serves_all():

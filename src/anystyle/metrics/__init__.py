@@ -25,11 +25,13 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    for plugin in catalog():
-        if plugin.kind == "metric" and plugin.target.endswith(f":{name}"):
-            return plugin.load()
+    named = {plugin.target.partition(":")[2]: plugin for plugin in catalog() if plugin.kind == "metric"}
+    if name == "__all__":
+        return [*named]
+    if name in named:
+        return named[name].load()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *(plugin.target.partition(":")[2] for plugin in catalog() if plugin.kind == "metric")]
+    return [*globals(), *__getattr__("__all__")]
