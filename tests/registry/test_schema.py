@@ -299,3 +299,5 @@ def test_build_all_keeps_names(everything):
     built = build_all(Placement, {"a": one, "b": {**one, "whole": 2}})
     assert {name: item.given["whole"] for name, item in built.items()} == {"a": 1, "b": 2}
     assert build_all(Placement, None) == {}
+    with pytest.raises(ValueError, match="expected the options of a plugin with its _target_, and got 3"):
+        build_all(Placement, {"a": 3})

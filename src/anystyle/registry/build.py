@@ -91,12 +91,12 @@ def _container(config: Any) -> tuple[dict[str, Any], str]:
     """A node as plain Python, interpolations resolved, and where it stands in the whole configuration, if in one."""
     from omegaconf import OmegaConf
 
-    if not OmegaConf.is_config(config):
-        return dict(config), ""
-    container = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
-    if not isinstance(container, dict):
-        raise PluginError(f"a plugin's options with a _target_ are expected, and {container!r} is given")
-    return {str(key): value for key, value in container.items()}, str(config._get_full_key(None) or "")
+    composed = OmegaConf.is_config(config)
+    container = OmegaConf.to_container(config, resolve=True, enum_to_str=True) if composed else config
+    if not isinstance(container, Mapping):
+        raise PluginError(f"expected the options of a plugin with its _target_, and got {container!r}")
+    key = str(config._get_full_key(None) or "") if composed else ""
+    return {str(name): value for name, value in container.items()}, key
 
 
 def _checked(plugin: Plugin, given: Mapping[str, Any], key: str = "") -> dict[str, Any]:
