@@ -146,7 +146,7 @@ class Session:
         if self.folder is None or len(style) >= 4096 or "\0" in style:
             return None
         file = self.folder / Path(style).name  # which ends in a hash of the image
-        return file if file.is_file() else None
+        return file if file.suffix == ".png" and file.is_file() else None
 
     def scene(self, request: StyleRequest) -> Gaussians:
         """The Gaussians in a style."""

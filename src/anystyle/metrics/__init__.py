@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    named = {plugin.target.partition(":")[2]: plugin for plugin in catalog() if plugin.kind == "metric"}
+    # Of two plugins whose classes have one name the first is meant.
+    metrics = [plugin for plugin in reversed([*catalog()]) if plugin.kind == "metric"]
+    named = {plugin.target.partition(":")[2]: plugin for plugin in metrics}
     if name == "__all__":
         return [*named]
     if name in named:
