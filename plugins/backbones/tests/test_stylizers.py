@@ -203,7 +203,7 @@ def test_two_steps_of_the_second_stage(
     launch("train", run, words)
     assert "2 steps done; " in capsys.readouterr().out
     assert (tmp_path / "runs" / "x" / "branch.safetensors").is_file()
-    with pytest.raises(UserError, match=r"reads the tokens of images, and texts have none; set training\.text_ratio=0"):
+    with pytest.raises(UserError, match=r"reads tokens of images, and texts have none; set training\.text_ratio=0"):
         launch("train", run, [*words, "training.text_ratio=0.5", "name=y"])
 
 
