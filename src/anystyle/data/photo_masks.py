@@ -22,8 +22,8 @@ MAX_ASPECT_ERROR = 0.02
 """A mask may differ by this fraction from its photograph's aspect."""
 WHITE = 0.98
 """Of a mask that is scaled: a pixel that is darker lies at an edge, and does not count."""
-MAX_LABELS, COMPRESSED = 32, 16
-"""Grey levels are labels where all are below this; what JPEG makes of black is not above this."""
+MAX_LABELS = 32
+"""Grey levels are labels where all are below this, and colours are such whose channels differ by as much."""
 FEW = 0.2
 """Masks that leave a smaller share of the pixels may be inverted."""
 
@@ -135,14 +135,15 @@ def _mask_of(masks: Mapping[Path, Path], path: Path | None) -> Image.Image | Non
 def open_mask(file: Path, photograph: Path | None) -> Image.Image:
     """The grey levels of a mask, or of a segmentation, which is black at label 0 and in black, and white elsewhere.
 
-    A segmentation has colours, as the palettes of video segmentation, or levels below 32. What is transparent is black.
+    A segmentation has few colours, as the palettes of video segmentation, or levels below 32. Of other colours the
+    brightness counts. What is transparent is black.
     A UserError says that a mask has not the aspect of the upright photograph, where that is still there.
     """
     shown, alpha = open_image(file), open_alpha(file)
-    mask = shown.convert("HSV").getchannel("V")
-    colored = bool(np.ptp(np.asarray(shown.convert("YCbCr"))[..., 1:], axis=(0, 1)).max() > 2 * COMPRESSED)
-    if colored or np.asarray(mask).max() < MAX_LABELS:
-        mask = mask.point([0] * (1 + COMPRESSED * colored) + [255] * (255 - COMPRESSED * colored))
+    mask = shown.convert("L")
+    few = np.array([color for _, color in shown.getcolors(256) or [(0, (0, 0, 0))]])
+    if np.ptp(few, axis=1).max() >= MAX_LABELS or np.asarray(mask).max() < MAX_LABELS:
+        mask = mask.point([0] + [255] * 255)
     if not mask.getbbox():
         with opened(file) as image:
             if image.mode.startswith("I;16") and (most := np.asarray(image).max()):

@@ -84,7 +84,7 @@ class MaskFolder(Mask):
 
     Args:
         folder: An image named as each photograph, drawn on it as it came from the camera; dark or transparent is
-            unstyled. Of a segmentation all but label 0 and black is styled.
+            unstyled. Of a segmentation in labels or few colours all but 0 and black is styled.
         soft: Standard deviation of the blur of the masks, as a fraction of their shorter side.
     """
 
