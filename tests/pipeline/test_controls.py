@@ -133,9 +133,7 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
         assert torch.equal(MaskFolder(tmp_path).weights(gaussians, shown)[0], weights)
     # White on a dark photograph, whose brightness counts.
     dark = np.random.default_rng(0).integers(0, 40, (96, 128, 3), np.uint8)
-    Image.fromarray(np.maximum(mask[..., None], dark)).save(
-        tmp_path / "one.png"
-    )
+    Image.fromarray(np.maximum(mask[..., None], dark)).save(tmp_path / "one.png")
     assert MaskFolder(tmp_path).weights(gaussians, shown)[0, :2].max() < 0.2
     Image.fromarray(mask.astype(np.uint16) // 255).save(tmp_path / "one.png")
     with pytest.raises(ValueError, match="its largest level is 1 of 65535; save labels with 8 bits"):
