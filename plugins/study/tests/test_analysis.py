@@ -343,6 +343,7 @@ def test_hydra_composes_the_tests(tmp_path, capsys):
         (("r.csv", "--out", "out", "--scale", "5", "1"), "scale 5 to 1"),
         (("r.csv", "--out", "out", "study_test=[wilcoxn]"), "Did you mean 'wilcoxon'"),
         (("r.csv", "nothing=1", "--out", "out"), "'nothing' is unknown"),
+        (("r.csv", "+nothing=1", "--out", "out"), "'nothing' is unknown"),
         (("r.csv", "study_test.wilcoxon.alternative=less", "--out", "out"), "'alternative' not in 'Wilcoxon'"),
         (("--out", "out"), "no file of responses is given"),
         (("r.csv", "--out", "out", "--confidence", "95"), "0.95"),

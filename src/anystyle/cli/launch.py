@@ -73,8 +73,7 @@ def launch(
     if out is not None and {"-m", "--multirun"} & {*words}:
         words = [override("hydra.sweep.dir", out), *words]
     check_words(config_name, words)
-    if folder is None:
-        check_choices(words)
+    check_choices(words, folder or paths.CONF)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
         raise UserError(f"give only one of {', '.join(MODES)}")
     if any(word.partition("=")[0] in ("-c", "--cfg") for word in words):

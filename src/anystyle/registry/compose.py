@@ -138,9 +138,10 @@ def completed(words: Sequence[str]) -> list[str]:
     return words
 
 
-def check_choices(words: Sequence[str]) -> None:
+def check_choices(words: Sequence[str], root: Path = paths.CONF) -> None:
     """Refuse a choice that a group does not have, and a key that nothing has, before anything is imported for them.
 
+    ``root`` holds the configurations that commands start from.
     Folders of one's own are read; where another root is given, or a package of configurations, it is left to Hydra.
     """
     words = completed(words)
@@ -149,8 +150,8 @@ def check_choices(words: Sequence[str]) -> None:
     other = re.search(r"(?m)^(-cp|-cn|-sc|--config-path|--config-name|--shell-)|^hydra.searchpath=.*pkg:", lines)
     if other or not all(map(Path.is_dir, own)):
         return
-    files = [file for folder in (paths.CONF, *preset_folders(), *own) for file in folder.rglob("*.yaml")]
-    roots = "".join(file.read_text("utf-8") for file in paths.CONF.glob("*.yaml"))
+    files = [file for folder in (root, *preset_folders(), *own) for file in folder.rglob("*.yaml")]
+    roots = "".join(file.read_text("utf-8") for file in root.glob("*.yaml"))
     written = re.sub("#.*", "", "\n".join((lines, *(file.read_text("utf-8", "replace") for file in files))))
     top = {*re.findall(r"^\w+(?=:)", written, re.MULTILINE), *groups(), *OPTIONS, "hydra"}
     named = top | {*re.findall(r"\w+(?=:)|(?<=@)\w+", written), *(file.parent.name for file in files)}
