@@ -11,7 +11,7 @@ from plyfile import PlyData, PlyElement
 from anystyle.commands import film, stylize
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
-from anystyle.pipeline.beside import cameras_beside, with_stored_cameras
+from anystyle.pipeline.beside import cameras_beside, saved_cameras, with_stored_cameras
 from anystyle.pipeline.export import turn
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.request import SavedScene, inputs_of
@@ -110,15 +110,19 @@ def test_a_run_of_3dgs_is_a_scene_with_its_cameras(run, tmp_path):
 
 
 def test_cameras_of_several_sizes_are_all_used_at_the_commonest(run):
+    """What an upright photograph shows stays whole, also where its scene is read, written and read again."""
     images, known, _ = photographed_wall(3)
     listed = json.loads((run / "cameras.json").read_text())
-    listed[0] |= {name: listed[0][name] // 2 for name in ("width", "height", "fx", "fy")}
+    listed[0] |= {name: listed[0][name] // 2 for name in ("height", "fx", "fy")} | {"width": 5}
     (run / "cameras.json").write_text(json.dumps(listed))
     path = run / "point_cloud" / "iteration_30000" / "point_cloud.ply"
     with torch.no_grad():
         assert (renders(path) - images).abs().max() < 0.01
-    cameras, sources, _ = cameras_of(path, read_saved(path), ViewOptions(), SplatOptions(), RENDERER, 2, 40)
+    again = with_stored_cameras(read_saved(path), path)
+    assert [camera.size for camera in saved_cameras(again).values()] == [(20, 5), (40, 48), (40, 48)]
+    cameras, sources, _ = cameras_of(path, again, ViewOptions(), SplatOptions(), RENDERER, 2, 40)
     assert cameras.size == known.size and [source.name for source in sources] == ["IMG_0", "IMG_1", "IMG_2"]
+    assert sources[0].inside == (19, 0, 29, 40)
     torch.testing.assert_close(cameras.intrinsics, known.intrinsics)
 
 

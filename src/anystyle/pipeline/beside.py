@@ -74,9 +74,10 @@ def with_cameras(
     scene: StyledScene, stored: Mapping[str, StoredCamera], size: tuple[int, int] | None = None
 ) -> StyledScene:
     """A scene with cameras by the names of their views, all of one size, by default the commonest."""
-    size = size or commonest_size(stored.values())
-    views = [view_camera(camera, SourceImage.covering(name, camera.size, size)) for name, camera in stored.items()]
-    return replace(scene, cameras=Cameras.cat(views, dim=1), names=tuple(stored))
+    size, sizes = size or commonest_size(stored.values()), tuple(camera.size for camera in stored.values())
+    sources = [SourceImage.covering(name, own, size, whole=True) for name, own in zip(stored, sizes, strict=True)]
+    views = [view_camera(camera, source) for camera, source in zip(stored.values(), sources, strict=True)]
+    return replace(scene, cameras=Cameras.cat(views, dim=1), names=tuple(stored), sizes=sizes)
 
 
 def commonest_size(cameras: Iterable[StoredCamera]) -> tuple[int, int]:
@@ -162,10 +163,14 @@ def _seen(scene: StyledScene, stored: Mapping[str, StoredCamera]) -> float:
 
 
 def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
-    """The cameras of a saved scene by the name of their view."""
+    """The cameras of a saved scene by the name of their view, in pixels of what was photographed."""
+    size = saved.cameras.size
+    named = zip(distinct(saved.names), saved.sizes or [size] * len(saved.names), strict=True)
+    sources = [SourceImage.covering(name, own, size, whole=True) for name, own in named]
     poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
-    stored = zip(distinct(saved.names), poses.numpy(), intrinsics.numpy(), strict=True)
-    return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
+    matrices = [source.source_intrinsics(each).numpy() for source, each in zip(sources, intrinsics, strict=True)]
+    stored = zip(sources, poses.numpy(), matrices, strict=True)
+    return {source.name: StoredCamera(pose, matrix, source.size) for source, pose, matrix in stored}
 
 
 def own_cameras(path: Path) -> dict[str, StoredCamera]:

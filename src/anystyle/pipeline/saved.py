@@ -263,7 +263,8 @@ def cameras_of(
     whole = commonest_size(stored.values())
     height, width = (max(multiple, round(length * side / min(whole) / multiple) * multiple) for length in whole)
     called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
-    sources = tuple(SourceImage.covering(called[index], stored[names[index]].size, (height, width)) for index in chosen)
+    own = ((called[index], stored[names[index]].size) for index in chosen)
+    sources = tuple(SourceImage.covering(name, size, (height, width), whole=True) for name, size in own)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
     return Cameras.cat(cameras, dim=1), sources, "stored" if saved.photographed else "chosen"
 

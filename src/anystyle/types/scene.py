@@ -170,6 +170,7 @@ class StyledScene:
         offset: What was taken off the positions of Gaussians and cameras, in these axes.
         pictures: Small images of styles that were given as one, by the titles of these.
         photographed: Whether cameras are those of photographs, and not chosen around a scene.
+        sizes: Height and width in pixels of what was photographed, where it is not that of the cameras.
     """
 
     styles: tuple[tuple[str, Gaussians], ...]
@@ -181,6 +182,7 @@ class StyledScene:
     offset: Offset = NEAR
     pictures: Mapping[str, Image.Image] = field(default_factory=dict)
     photographed: bool = True
+    sizes: tuple[tuple[int, int], ...] = ()
 
     @property
     def antialiased(self) -> bool:
