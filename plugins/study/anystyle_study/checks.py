@@ -3,7 +3,7 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import Any
 
@@ -69,16 +69,21 @@ def check(
     records: Records, *, scale: Scale, rules: Rules, scales: Mapping[str, Scale] | None = None
 ) -> tuple[Checks, tuple[Responses, ...]]:
     """Check the answers, exclude participants by the rules, and undo the positions; ``scales`` are by question."""
-    answers = (*records.answers, *records.unanswered)
+    people = {answer.participant for answer in records.answers if not math.isnan(answer.score)}
+    silent = sorted({answer.participant for answer in records.answers} - people)
+    answers = [answer for answer in (*records.answers, *records.unanswered) if answer.participant in people]
     by_question = {answer.question: (scales or {}).get(answer.question, scale) for answer in answers}
     attention = [answer for answer in answers if answer.is_check]
     given = [answer.is_check for answer in records.answers if not math.isnan(answer.score)]
-    checks = Checks(len({answer.participant for answer in records.answers}), len(given), sum(given))
-    main = [answer for answer in records.answers if not answer.is_check]
+    checks = Checks(len(people), len(given), sum(given))
+    main = [answer for answer in answers if not answer.is_check]
     items = {who: {(row.item, row.comparison) for row in of} for who, of in _grouped(main, "participant").items()}
     facts = {(row.item, name, value) for row in main for name in ("scene", "style") if (value := getattr(row, name))}
     if twice := [item for (item, _), number in Counter(fact[:2] for fact in facts).items() if number > 1]:
         raise UserError(f"sets of several scenes or styles: {some(sorted(set(twice)))}; give each a name of its own")
+    known = {(item, name): value for item, name, value in facts}  # a file may say what another leaves out
+    about = {item: {name: known.get((item, name), "") for name in ("scene", "style")} for item, _, _ in facts}
+    main = [replace(row, **about.get(row.item, {})) for row in main]
     main = _deduplicated(_in_range(main, by_question, checks), checks)
     _check_attention(attention, main, by_question, rules, checks)
     asked = Counter(question for question, _ in {(answer.question, answer.method) for answer in main})
@@ -100,6 +105,8 @@ def check(
         why = "; ".join(reasons) or (unpaired if remaining else "every score is missing or outside the scale")
         raise UserError(f"no answers are left of {checks.answers_read}: {why}")
     checks.answers_used = len(remaining)
+    if silent:
+        checks.notes.append(f"{len(silent)} people gave no answer at all and are not counted: {some(silent)}.")
     checks.notes += _notes(records, remaining, checks)
     return checks, responses
 

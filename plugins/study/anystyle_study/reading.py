@@ -127,7 +127,7 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
         lines = zip(sheet.lines, sheet.rows, strict=True)
         table = [{"": f"row {line}"} | dict(zip(names, row, strict=True)) for line, row in lines]
         if others := [row[""] for row in table if not _is_answer(row)]:
-            told = "%s: %d rows without item, question and score are left out as other trials, such as %s"
+            told = "%s: %d rows without item and score are left out as other trials, such as %s"
             log.warning(told, path.name, len(others), others[0])
         table = list(filter(_is_answer, table))
     return table, sheet.semicolons
@@ -135,7 +135,7 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
 
 def _is_answer(row: _Row) -> bool:
     """Whether a row is about a set; an experiment's instructions and pauses are rows, too."""
-    return any(row[name] for name in ("item", "question", "score"))
+    return bool(row["item"] or row["score"])
 
 
 def _answers(

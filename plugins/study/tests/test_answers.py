@@ -100,7 +100,7 @@ def test_answers_of_jspsych_and_otree_are_read(tmp_path, caplog, name, text, per
     expected |= {("S2", "content"): (3, False)}
     expected |= {("S1", "strength"): (2, True), ("S2", "strength"): (3, False)} if name == "jspsych" else {}
     assert found == {(person, *key): value for key, value in expected.items()}
-    assert ("1 rows without item, question and score are left out" in caplog.text) == (name == "jspsych")
+    assert ("1 rows without item and score are left out" in caplog.text) == (name == "jspsych")
 
 
 def test_findings_and_exclusions_are_listed(tmp_path):
@@ -321,6 +321,20 @@ def test_a_shifted_scale_is_refused_however_few_of_its_answers_are_outside(tmp_p
     told = f"answers from {found} where the scale is 1 to 5.* --label={outer + shift}=NA"
     with pytest.raises(ValueError, match=told):
         judged(write_csv(tmp_path / "r.csv", rows))
+
+
+def test_any_file_says_the_scene_of_a_set_and_who_answered_nothing_is_not_counted(tmp_path):
+    rows = answer_rows()
+    known = [(*row, f"of {row[1]}", "ink") for row in rows if row[0] == "P00"]
+    write_csv(tmp_path / "known.csv", known, "participant,item,question,score,ours_is,scene,style")
+    write_csv(tmp_path / "rest.csv", [*rows[len(known) :], ("NOBODY", "S00", "style", "", "A"), ("", "", "style", "", "")])
+    for order in (["known.csv", "rest.csv"], ["rest.csv", "known.csv"]):
+        records = read_responses([tmp_path / name for name in order])
+        checks, (style,) = check(records, scale=Scale(), rules=Rules())
+        assert style.item_scenes == tuple(f"of {name}" for name in style.item_names)
+        assert checks.participants_read == len({row[0] for row in rows}) and not checks.exclusions
+        notes = " ".join(checks.notes)
+        assert "1 people gave no answer at all" in notes and "NOBODY" in notes and "are not known" not in notes
 
 
 def test_ratings_of_ours_alone_are_told(tmp_path):
