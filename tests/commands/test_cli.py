@@ -152,8 +152,10 @@ def test_choices_that_are_known_before_torch_are_those_of_their_options():
     "words",
     ["precision=bf16", "trainer.precision=16-Mixed", "resume=auto,never", "precision=null", "+trainer.profiler=simple"],
 )
-def test_words_that_may_be_right_are_left_to_hydra(words):
+def test_words_that_may_be_right_are_left_to_hydra(words, tmp_path):
     check_choices([words])
+    (tmp_path / "root.yaml").write_text("scenes: null\n")
+    check_choices(["scenes=street"], tmp_path)  # the root's own key, which is no group there
 
 
 def test_stylize_answers_a_mistyped_word_before_torch_is_imported():

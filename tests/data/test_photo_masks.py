@@ -7,7 +7,7 @@ from PIL import Image
 
 from anystyle.data.folder import read_originals, read_views
 from anystyle.data.images import open_alpha, open_image
-from anystyle.data.photo_masks import find_masks, masked_views, with_masks
+from anystyle.data.photo_masks import are_labels, find_masks, masked_views, open_mask, with_masks
 from anystyle.errors import UserError
 from anystyle.types import SourceImage, Views
 from tests.support.pictures import save
@@ -159,3 +159,20 @@ def test_what_lies_beside_a_photograph_is_not_counted():
     views, report = masked_views(Views(torch.ones(1, 1, 3, 48, 64)), [source], {}, empty=False)
     assert report == {} and views.alpha is None and views.valid is not None
     assert views.valid[0, 0].nonzero().amin(0).tolist() == [0, 14] and views.valid.sum() == 48 * 36
+
+
+def test_segmentations_are_white_but_for_what_is_black_or_transparent(tmp_path):
+    """Labels are told from a faint soft mask by the others of their folder, and colours may be dark."""
+    faint, white = save(tmp_path / "faint.png", left_half(white=20)), save(tmp_path / "white.png", left_half())
+    assert are_labels([faint]) and not are_labels([faint, white])
+    colors = np.zeros((32, 48, 3), np.uint8)
+    colors[:, :24, 0], colors[:4, :24] = 1, (250, 3, 0)
+    cut_out = Image.merge("LA", [Image.new("L", (48, 32), 1), Image.fromarray(left_half())])
+    Image.fromarray(colors).save(tmp_path / "ids.png")
+    cut_out.save(tmp_path / "cut.png")
+    for file, labels in (("faint.png", True), ("ids.png", False), ("cut.png", are_labels([tmp_path / "cut.png"]))):
+        np.testing.assert_array_equal(open_mask(tmp_path / file, None, labels=labels), left_half())
+    np.testing.assert_array_equal(open_mask(faint, None, labels=False), left_half(white=20))
+    Image.fromarray(left_half().astype(np.uint16) * 100).save(tmp_path / "deep.png")
+    with pytest.raises(UserError, match=r"deep\.png: no level is white, the largest is 25500 of 65535; save labels"):
+        open_mask(tmp_path / "deep.png", None, labels=False)

@@ -262,6 +262,8 @@ def test_a_correspondence_of_a_wrong_shape_is_named(variant):
     shown, scenes = pictures(styles=1), ToyScenes(num_scenes=1, size=(70, 70)).read(0, range(3))
     with pytest.raises(UserError, match=r"\Agiven the .*correspondence Last.* of shape \[2, 70, 70, 2\]; expected"):
         metric.update(replace(shown, cameras=scenes.cameras, depth=scenes.depth))
+    with pytest.raises(UserError, match="frames without depth or cameras"):
+        metric.update(shown)
 
 
 def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_variant():

@@ -36,7 +36,7 @@ def test_a_finished_run_that_is_repeated_or_refused_changes_nothing(whole):
     with pytest.raises(ValueError, match="another configuration"):
         train(configuration((*WORDS, "seed=77"), whole), whole, begun.append)
     assert state(whole) == before and not begun
-    with pytest.raises(ValueError, match="kept no best weights; resume=never"):
+    with pytest.raises(ValueError, match="ended without best weights; resume=never"):
         train(configuration((*WORDS, "checkpoint.best=val/loss"), whole), whole)
     size = (whole / "backbone.safetensors").stat().st_size
     train(configuration((*WORDS, "export.half=false"), whole), whole)

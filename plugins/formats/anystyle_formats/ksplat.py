@@ -18,7 +18,7 @@ from anystyle.geometry.harmonics import CONSTANT
 from anystyle.io.atomic import atomic_path
 from anystyle.io.splats import Remarks
 from anystyle.types import StyledScene
-from anystyle_formats.packing import columns_of, in_bytes
+from anystyle_formats.packing import color_bytes, columns_of
 from anystyle_formats.reading import gaussians, reading, room_for
 
 HEADER, SECTION = 4096, 1024
@@ -40,11 +40,11 @@ class Ksplat(Format):
     max_degree = _DEGREE
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        means, rotations, scales, opacities, harmonics = columns_of(scene.splats())
+        means, rotations, scales, _, harmonics = columns = columns_of(scene.splats())
         degree = min(isqrt(harmonics.shape[1]) - 1, _DEGREE)
         rows = np.zeros(len(means), _row(0, degree))
         rows["mean"], rows["scale"], rows["turn"] = means, scales, rotations
-        rows["color"] = in_bytes(np.concatenate([harmonics[:, 0] * CONSTANT + 0.5, opacities[:, None]], 1) * 255)
+        rows["color"] = color_bytes(path, columns)
         bands = (harmonics[:, band].mT.reshape(len(rows), -1) for band in _bands(degree))
         rows["rest"] = np.concatenate([harmonics[:, :0, 0], *bands], 1)
         start = _START.pack(0, 1, 1, 1, len(rows), len(rows), 0, *means.mean(0), -_RANGE, _RANGE)

@@ -1,15 +1,20 @@
 """Scenes as arrays, numbers in few bits, and an order in which they compress well."""
 
+import logging
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
+from anystyle.geometry.harmonics import CONSTANT
+from anystyle.io.atomic import final
 from anystyle.io.splats import Splats
 
+_log = logging.getLogger(__name__)
 DEGREE = 3
 """The highest of harmonics in SPZ and SOG, as their other readers have it."""
 
@@ -33,6 +38,14 @@ def columns_of(splats: Splats) -> Columns:
 def in_bytes(values: Float[np.ndarray, "*shape"]) -> NDArray[np.uint8]:
     """The nearest integers from 0 to 255."""
     return np.round(values).clip(0, 255).astype(np.uint8)
+
+
+def color_bytes(path: Path, columns: Columns) -> UInt8[np.ndarray, "N 4"]:
+    """Constant colours and opacities; a line says of how many Gaussians bytes cannot hold the colours."""
+    colors = columns.harmonics[:, 0] * CONSTANT + 0.5
+    if cut := int((np.abs(colors - 0.5) > 0.5 + 0.5 / 255).any(1).sum()):
+        _log.warning("%s: colours of %s of %s Gaussians are cut to [0, 1]", final(path), f"{cut:,}", f"{len(colors):,}")
+    return in_bytes(np.concatenate([colors, columns.opacities[:, None]], 1) * 255)
 
 
 def in_words(

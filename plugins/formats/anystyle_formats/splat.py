@@ -8,7 +8,7 @@ from anystyle.contracts import Format
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.io.atomic import atomic_path
 from anystyle.types import StyledScene
-from anystyle_formats.packing import columns_of, in_bytes
+from anystyle_formats.packing import color_bytes, columns_of, in_bytes
 from anystyle_formats.reading import gaussians, reading
 
 ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
@@ -21,10 +21,10 @@ class Splat(Format):
     max_degree = 0
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        means, rotations, scales, opacities, harmonics = columns_of(scene.splats())
+        means, rotations, scales, opacities, _ = columns = columns_of(scene.splats())
         rows = np.empty(len(means), ROW)
         rows["position"], rows["scale"] = means, scales
-        rows["color"] = in_bytes(np.concatenate([harmonics[:, 0] * CONSTANT + 0.5, opacities[:, None]], 1) * 255)
+        rows["color"] = color_bytes(path, columns)
         rows["rotation"] = in_bytes(rotations * 128 + 128)
         order = np.argsort(-opacities * scales.prod(1), kind="stable")
         with atomic_path(path) as temporary:

@@ -153,7 +153,7 @@ def test_what_a_file_cannot_hold_is_one_line(tmp_path, caplog):
     for given, name, lines in (
         (full, "ply", []),
         (full, "spz", ["harmonics above degree 3 are left out"]),
-        (full, "ksplat", ["harmonics above degree 2 are left out"]),
+        (full, "ksplat", ["above degree 2 are left out", "colours of 15 of 400 Gaussians are cut to [0, 1]"]),
         (hidden, "ply", ["3 of 400 Gaussians are left out (with opacity 0)"]),
         (vast, "spz", ["above degree 3", "400 Gaussians, what SPZ cannot hold is cut: colours of 2, harmonics of 2"]),
         (flat, "spz", ["above degree 3", "of 400 Gaussians, what SPZ cannot hold is cut: sizes of 4"]),

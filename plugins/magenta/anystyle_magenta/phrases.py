@@ -20,6 +20,8 @@ from anystyle_magenta.words import clean
 ASSETS = Path(__file__).parent / "assets"
 SHARPNESS, NEARNESS = 6.0, 20.0
 """Scales of the kernel and of the neighbours, for which the regression was fitted; they matter little."""
+MOST = 510
+"""Word pieces of a text that count, for the network has places for 512."""
 
 
 class SentenceNetwork:
@@ -41,8 +43,8 @@ class SentenceNetwork:
         """Unit vectors of texts: the mean over their word pieces."""
         vectors = []
         for text in texts:
-            pieces = ["[CLS]", *(piece for word in clean(text) for piece in self._pieces(word)), "[SEP]"]
-            rows = np.array([[self.rows[piece] for piece in pieces]])
+            pieces = [piece for word in clean(text) for piece in self._pieces(word)][:MOST]
+            rows = np.array([[self.rows[piece] for piece in ("[CLS]", *pieces, "[SEP]")]])
             inputs = {"input_ids": rows, "attention_mask": np.ones_like(rows), "token_type_ids": np.zeros_like(rows)}
             (states,) = self.session.run(None, inputs)
             vectors.append(torch.from_numpy(states).mean(1))

@@ -54,6 +54,7 @@ def test_word_pieces_are_those_of_the_network():
     assert network._pieces("\u2d30") == ["[UNK]"]  # a letter that it has no piece for
     steam, railway, cream = network(["a steam locomotive", "a railway engine", "whipped cream"])
     assert steam @ railway > 0.5 > steam @ cream
+    assert torch.equal(*network(["qxz" * 400, "qxz" * 500]))  # more pieces than it has places for
 
 
 @needs_words

@@ -180,7 +180,9 @@ def analyze_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     settings = AnalysisOptions(
         scale=scale,
         scales=scales,
-        rules=fit(msgspec.to_builtins(rules) | given, Rules, source="--missing", what="rule"),
+        rules=fit(
+            msgspec.to_builtins(rules) | given, Rules, source="what --failed-checks and --missing say", what="rule"
+        ),
         titles={question.name: question.text.replace("{method}", "A or B") for question in questions},
         study=study,
         alternative=arguments.alternative or ("two-sided" if study is None else study.plan.alternative),

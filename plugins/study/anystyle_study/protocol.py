@@ -10,7 +10,7 @@ import msgspec
 
 from anystyle.errors import UserError, unknown
 from anystyle.io.documents import fit, read_json
-from anystyle.ranges import Fraction, Range
+from anystyle.ranges import Count, Fraction, Range
 from anystyle_study.contract import Alternative, Scale
 
 
@@ -52,7 +52,7 @@ class Demographic(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Exclusion rules, registered before there are data."""
 
-    failed_checks: int | None = 0  # attention checks that a participant may fail; ``None`` excludes nobody for them
+    failed_checks: Count | None = 0  # attention checks that a participant may fail; ``None`` excludes nobody for them
     straight_lining: bool = False  # whether to exclude (not only list) participants who gave one answer throughout
     missing_share: Fraction = 0.5  # fraction of missing answers above which a participant is excluded
     min_seconds: Annotated[float, Range(ge=0, lt=3600)] = 0.0  # sets answered faster are listed; 0 lists none

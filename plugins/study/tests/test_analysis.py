@@ -346,7 +346,9 @@ def test_hydra_composes_the_tests(tmp_path, capsys):
         (("r.csv", "+nothing=1", "--out", "out"), "'nothing' is unknown"),
         (("r.csv", "study_test.wilcoxon.alternative=less", "--out", "out"), "'alternative' not in 'Wilcoxon'"),
         (("--out", "out"), "no file of responses is given"),
+        (("r.csv", "study_test.wilcoxon.method=exakt", "--out", "out"), "of [auto, approx]\n"),
         (("r.csv", "--out", "out", "--confidence", "95"), "0.95"),
+        (("r.csv", "--out", "out", "--failed-checks", "-1"), "failed_checks"),
         (("r.csv", "--out", "out", "--margin", "5"), "--margin 5"),
         (("r.csv", "--out", "out", "--margin", "0.1", "--alternative", "less"), "two-sided"),
     ],
@@ -356,4 +358,4 @@ def test_errors_leave_nothing(tmp_path, words, told, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError) as error:
         run(*words)
-    assert told in str(error.value) and not (tmp_path / "out").exists()
+    assert told in f"{error.value}\n" and not (tmp_path / "out").exists()

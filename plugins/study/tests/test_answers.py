@@ -327,7 +327,9 @@ def test_any_file_says_the_scene_of_a_set_and_who_answered_nothing_is_not_counte
     rows = answer_rows()
     known = [(*row, f"of {row[1]}", "ink") for row in rows if row[0] == "P00"]
     write_csv(tmp_path / "known.csv", known, "participant,item,question,score,ours_is,scene,style")
-    write_csv(tmp_path / "rest.csv", [*rows[len(known) :], ("NOBODY", "S00", "style", "", "A"), ("", "", "style", "", "")])
+    write_csv(
+        tmp_path / "rest.csv", [*rows[len(known) :], ("NOBODY", "S00", "style", "", "A"), ("", "", "style", "", "")]
+    )
     for order in (["known.csv", "rest.csv"], ["rest.csv", "known.csv"]):
         records = read_responses([tmp_path / name for name in order])
         checks, (style,) = check(records, scale=Scale(), rules=Rules())

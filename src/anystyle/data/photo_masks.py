@@ -2,7 +2,7 @@
 
 import logging
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ MAX_ASPECT_ERROR = 0.02
 WHITE = 0.98
 """Of a mask that is scaled: a pixel that is darker lies at an edge, and does not count."""
 MAX_LABELS = 32
-"""Grey levels are labels where all are below this, and colours are such whose channels differ by as much."""
+"""Grey levels are labels where those of all masks are below this, and colours are such whose channels differ by it."""
 FEW = 0.2
 """Masks that leave a smaller share of the pixels may be inverted."""
 
@@ -70,9 +70,10 @@ def _key(path: Path, name: str) -> tuple[str, ...]:
 
 def with_masks(originals: Sequence[Original], masks: Mapping[Path, Path]) -> list[Original]:
     """Photographs that do not count where their masks are black, besides where they are transparent."""
+    labels = are_labels(masks.values())
 
     def masked(original: Original) -> Original:
-        mask = _mask_of(masks, original.path)
+        mask = _mask_of(masks, original.path, labels)
         if mask is None:
             return original
         mask = mask.resize(original.picture.size)
@@ -90,10 +91,10 @@ def masked_views(
     as it is beside a photograph that does not fill its view.
     """
     alpha, valid = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W
-    num_masks = 0
+    num_masks, labels = 0, are_labels(masks.values())
     for view, source in enumerate(sources):
         transparency = None if source.path is None else open_alpha(source.path, longest=2 * max(source.view_size))
-        mask = _mask_of(masks, source.path)
+        mask = _mask_of(masks, source.path, labels)
         if transparency is not None:
             alpha[view] = _of_view(transparency, source)
         if mask is not None:
@@ -125,29 +126,42 @@ def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:
     return to_tensor(source.of_view(mask.convert("RGB")))[0]
 
 
-def _mask_of(masks: Mapping[Path, Path], path: Path | None) -> Image.Image | None:
+def _mask_of(masks: Mapping[Path, Path], path: Path | None, labels: bool) -> Image.Image | None:
     """The mask of a photograph in black and white."""
     if path is None or path not in masks:
         return None
-    return open_mask(masks[path], path).point([0] * 128 + [255] * 128)
+    return open_mask(masks[path], path, labels=labels).point([0] * 128 + [255] * 128)
 
 
-def open_mask(file: Path, photograph: Path | None) -> Image.Image:
+def are_labels(masks: Iterable[Path]) -> bool:
+    """Whether no level of any mask reaches 32, so that they are labels; one soft mask may be as dark."""
+    return all(_shown(mask).convert("L").getextrema()[1] < MAX_LABELS for mask in masks)
+
+
+def _shown(file: Path) -> Image.Image:
+    """A mask, black where it is transparent throughout."""
+    shown, alpha = open_image(file), open_alpha(file)
+    if alpha is not None:
+        shown.paste("black", mask=alpha.point([255] + [0] * 255))
+    return shown
+
+
+def open_mask(file: Path, photograph: Path | None, *, labels: bool) -> Image.Image:
     """The grey levels of a mask, or of a segmentation, which is black at label 0 and in black, and white elsewhere.
 
-    A segmentation has few colours, as the palettes of video segmentation, or levels below 32. Of other colours the
-    brightness counts. What is transparent is black.
+    A segmentation has ``labels`` or few colours, as the palettes of video segmentation. Of other colours the brightness
+    counts. What is transparent is black.
     A UserError says that a mask has not the aspect of the upright photograph, where that is still there.
     """
-    shown, alpha = open_image(file), open_alpha(file)
+    shown, alpha = _shown(file), open_alpha(file)
     mask = shown.convert("L")
     few = np.array([color for _, color in shown.getcolors(256) or [(0, (0, 0, 0))]])
-    if np.ptp(few, axis=1).max() >= MAX_LABELS or np.asarray(mask).max() < MAX_LABELS:
-        mask = mask.point([0] + [255] * 255)
-    if not mask.getbbox():
-        with opened(file) as image:
-            if image.mode.startswith("I;16") and (most := np.asarray(image).max()):
-                raise UserError(f"{file} is black: its largest level is {most} of 65535; save labels with 8 bits")
+    if labels or np.ptp(few, axis=1).max() >= MAX_LABELS:
+        mask = Image.fromarray(255 * np.asarray(shown).any(2).astype(np.uint8))
+    with opened(file) as image:
+        most = np.asarray(image).max() if image.mode.startswith("I;16") else 0
+        if 0 < most <= 65535 // 2:
+            raise UserError(f"no level is white, the largest is {most} of 65535; save labels with 8 bits")
     if photograph is not None and photograph.is_file():
         width, height = image_size(photograph)
         if abs(mask.width * height / (mask.height * width) - 1) > MAX_ASPECT_ERROR:

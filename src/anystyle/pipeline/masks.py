@@ -12,7 +12,7 @@ from torch import Tensor
 from anystyle.data.folder import nested_image_files
 from anystyle.data.images import to_tensor
 from anystyle.data.names import matched
-from anystyle.data.photo_masks import open_mask
+from anystyle.data.photo_masks import are_labels, open_mask
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.colors import fit_colors
@@ -97,9 +97,10 @@ class MaskFolder(Mask):
 
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """The masks through the renderer."""
-        files = mask_files(self.folder, seen.sources)
-        drawn = [open_mask(file, source.path).convert("RGB") for source, file in zip(seen.sources, files, strict=True)]
-        shown = [to_tensor(source.of_view(mask)) for source, mask in zip(seen.sources, drawn, strict=True)]
+        files, shown = mask_files(self.folder, seen.sources), []
+        labels = are_labels(files)
+        for source, file in zip(seen.sources, files, strict=True):
+            shown.append(to_tensor(source.of_view(open_mask(file, source.path, labels=labels).convert("RGB"))))
         masks = torch.stack(shown).to(gaussians.means)
         if self.soft > 0:
             sigma = self.soft * min(masks.shape[-2:])

@@ -152,12 +152,13 @@ def check_choices(words: Sequence[str], root: Path = paths.CONF) -> None:
         return
     files = [file for folder in (root, *preset_folders(), *own) for file in folder.rglob("*.yaml")]
     roots = "".join(file.read_text("utf-8") for file in root.glob("*.yaml"))
+    chosen = {*groups()} - {*re.findall(r"^\w+(?=:)", roots, re.MULTILINE)}  # a root's own key may have a group's name
     written = re.sub("#.*", "", "\n".join((lines, *(file.read_text("utf-8", "replace") for file in files))))
     top = {*re.findall(r"^\w+(?=:)", written, re.MULTILINE), *groups(), *OPTIONS, "hydra"}
     named = top | {*re.findall(r"\w+(?=:)|(?<=@)\w+", written), *(file.parent.name for file in files)}
     for key, _, value in (word.partition("=") for word in words if "=" in word):
         names = re.fullmatch(r"\[?([\w,-]+)\]?", value)
-        known = {*choices(key), *(file.stem for file in files if file.parent.name == key)} if key in groups() else {}
+        known = {*choices(key), *(file.stem for file in files if file.parent.name == key)} if key in chosen else {}
         for name in names[1].split(",") if names and known else ():
             if name and name not in known:
                 raise UserError(_no_such(key, name, sorted(known)))
@@ -278,7 +279,7 @@ def _nearest(*errors: BaseException | None) -> str:
         if isinstance(error, OmegaConfBaseException) and isinstance(error.parent_node, DictConfig):
             keys = [str(key) for key in error.parent_node if key not in ("_target_", "hydra")]
             group = str(error.key if error.parent_node else error.parent_node._key())
-            if group in groups():
+            if group in groups() and group not in keys:
                 return f"; choose one first: {group}={'|'.join(_with_option(group, str(errors[0])))}"
             if error.key is not None and error.key not in keys:
                 nodes = {name: error.parent_node._get_node(name) for name in keys}

@@ -5,6 +5,7 @@ import math
 from torch import Tensor
 
 from anystyle.contracts import Correspondence
+from anystyle.errors import UserError
 from anystyle.geometry.warp import reproject
 from anystyle.types import Flow, Frames
 
@@ -27,5 +28,5 @@ class ToyCorrespondence(Correspondence):
 
 def _known(frames: Frames) -> tuple[Tensor, Tensor, Tensor]:
     if frames.depth is None or frames.intrinsics is None or frames.world_from_camera is None:
-        raise ValueError("frames without depth or cameras; give depth and poses, or choose another correspondence")
+        raise UserError("frames without depth or cameras; give depth and poses, or choose another correspondence")
     return frames.depth, frames.intrinsics, frames.world_from_camera
