@@ -60,7 +60,7 @@ def test_cameras_in_the_axes_of_a_file_are_turned_with_it(tmp_path, caplog):
     PlyData(list(data.elements), comments=["Vertical Axis: z"]).write(tmp_path / "splat.ply")
     alike = away.poses(cameras.world_from_camera)
     upright = turn("z", "opencv", alike).poses(alike)
-    for poses, told in ((alike, "it are, too"), (upright, "it are not")):
+    for poses, told in ((alike, "it turned with them"), (upright, "it taken to be in OpenCV's axes")):
         transforms(tmp_path, replace(cameras, world_from_camera=poses))
         with torch.no_grad():
             assert (renders(tmp_path / "splat.ply") - images).abs().max() < 0.01

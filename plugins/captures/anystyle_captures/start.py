@@ -14,8 +14,9 @@ from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import similarity_of_cameras
 from anystyle.pipeline.beside import with_stored_cameras
+from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.request import file_of
-from anystyle.pipeline.saved import read_saved, unstyled_of
+from anystyle.pipeline.saved import read_unturned, unstyled_of
 from anystyle.types import Gaussians, Value, Views
 from anystyle_captures.pixels import pixels_of
 from anystyle_captures.poses import difference
@@ -50,7 +51,8 @@ def read_start(path: Path, views: Views) -> GivenGaussians:
     """
     assert views.cameras is not None
     path, cameras = file_of(path), views.cameras.to("cpu")
-    saved = with_stored_cameras(read_saved(path), path)
+    given = read_unturned(path)
+    saved = with_stored_cameras(in_axes("opencv", given), path, own_up=given.up)
     gaussians, frame = unstyled_of(saved).marked(False), "in the frame of the photographs' cameras"
     own, named = ({_stem(name): view for view, name in enumerate(names)} for names in (saved.names, views.names))
     if len(both := [name for name in named if name in own]) > 1:

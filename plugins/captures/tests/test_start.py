@@ -5,6 +5,7 @@ from math import pi
 
 import pytest
 import torch
+from plyfile import PlyData
 
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity, matrix_from_vector
@@ -14,6 +15,7 @@ from anystyle_captures.fit import Fit, fit_photographs, warm
 from anystyle_captures.fit_loop import FitOptions
 from anystyle_captures.start import read_start
 from anystyle_cpu_renderer.renderer import CpuRenderer
+from tests.pipeline.test_saved import transforms
 from tests.support.known_scene import photographed_wall, wall
 
 RENDERER, NAMES = CpuRenderer(background=(0.0, 0.0, 0.0)), tuple(f"wall_{view}" for view in range(9))
@@ -64,6 +66,15 @@ def test_a_scene_of_another_frame_is_aligned_by_the_cameras_of_the_same_photogra
         read_start(saved(tmp_path, ELSEWHERE.gaussians(wall()), there, [f"x{view}" for view in range(9)]), views)
     with pytest.raises(UserError, match="do not move as the photographs' cameras do"):
         read_start(saved(tmp_path, ELSEWHERE.gaussians(wall()), there, NAMES[::-1]), views)
+
+
+def test_cameras_in_the_axes_of_a_file_are_turned_with_it(views, tmp_path):
+    away = Similarity(torch.tensor(1.0), torch.eye(3), torch.tensor([0.0, 2, 5]))
+    away.gaussians(wall()).save(tmp_path / "wall.ply")
+    PlyData([*PlyData.read(tmp_path / "wall.ply")], comments=["Vertical Axis: z"]).write(tmp_path / "z.ply")
+    transforms(tmp_path, replace(views.cameras, world_from_camera=away.poses(views.cameras.world_from_camera)))
+    start = read_start(tmp_path / "z.ply", replace(views, names=tuple("012345678")))
+    torch.testing.assert_close(start.given.means, wall().means, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("degree", (0, 1, 3))

@@ -40,7 +40,7 @@ def read_sheet(path: Path) -> Sheet:
     """
     text = _decoded(read_bytes(path, most=_MAX_BYTES, what="table of answers"), path.name)
     if not text.strip():
-        raise UserError(f"{path.name} is empty; expected a table with a header")
+        return Sheet([], [], [], False)
     if "\0" in text:
         raise UserError(f"{path.name} holds binary data; expected CSV or JSON")
     semicolons = False

@@ -75,7 +75,7 @@ def read_responses(
         unanswered=() if study is None else tuple(_unanswered(answers, study)),
         comments=tuple(dict.fromkeys((row["participant"], row["comment"]) for row in rows if row.get("comment"))),
         unused=tuple(dict.fromkeys(name for table, _ in tables.values() for name in table[0] if name not in _KNOWN)),
-        sources=tuple(file.name for file in files),
+        sources=tuple(file.name for file in tables),
     )
 
 

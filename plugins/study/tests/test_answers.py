@@ -155,7 +155,7 @@ METHODS = b"participant,item,question,score,method\n"
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "is empty"),
+        (b"", "there are no answers in r.csv"),
         (HEAD, "no answers"),
         (b"a,b,c\n1,2,3\n", "lacks the columns participant, item, question, score; it has a, b, c"),
         (HEAD[:-9] + b"\nP1,S1,q,3\n", "does not say where ours was: give the design with --study, or add ours_is"),

@@ -1,6 +1,7 @@
 """Styles of one scene on request: computed in the background, the newest request first, the last few cached."""
 
 import logging
+import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -143,10 +144,10 @@ class Session:
 
     def image_file(self, style: str) -> Path | None:
         """The uploaded image of a style, wherever the folder was then; a path to any other file is taken as a text."""
-        if self.folder is None or len(style) >= 4096 or "\0" in style:
+        name = Path(style).name
+        if self.folder is None or len(name.encode()) > 255 or not re.fullmatch(r"[^\0]+-[0-9a-f]{8}\.png", name):
             return None
-        file = self.folder / Path(style).name  # which ends in a hash of the image
-        return file if file.suffix == ".png" and file.is_file() else None
+        return self.folder / name if (self.folder / name).is_file() else None
 
     def scene(self, request: StyleRequest) -> Gaussians:
         """The Gaussians in a style."""

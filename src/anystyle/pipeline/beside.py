@@ -81,8 +81,9 @@ def with_cameras(
 
 
 def commonest_size(cameras: Iterable[StoredCamera]) -> tuple[int, int]:
-    """The height and width that most cameras have."""
-    return Counter(camera.size for camera in cameras).most_common(1)[0][0]
+    """The height and width that most cameras have; of two equally frequent ones the wider, as of photographs."""
+    sizes = Counter(camera.size for camera in cameras)
+    return max(sizes, key=lambda size: (sizes[size], size[::-1]))
 
 
 def cameras_beside(path: Path, stored_in: str | None, scene: StyledScene, own_up: str) -> dict[str, StoredCamera]:
@@ -148,7 +149,7 @@ def _turned(stored: dict[str, StoredCamera], scene: StyledScene, own_up: str) ->
     given, turned = (_without(scene.offset, cameras) for cameras in (stored, _moved(stored, axes)))
     alone, together = _seen(scene, given), _seen(scene, turned)
     both = together > MORE * alone
-    told = "are, too" if both else "are not"
+    told = "turned with them" if both else "taken to be in OpenCV's axes"
     line = "the Gaussians are turned, for %s is up in their file, and the cameras beside it %s: turned they see %.0f%% "
     line += "of the Gaussians, as given %.0f%%; splat.up=opencv turns neither"
     _log.warning(line, own_up, told, 100 * together, 100 * alone)
