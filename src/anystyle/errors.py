@@ -1,7 +1,9 @@
 """Errors that a user can cause, as one-line messages."""
 
 import difflib
+import importlib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 
 class UserError(ValueError):
@@ -10,6 +12,14 @@ class UserError(ValueError):
 
 class MissingExtra(UserError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
+
+
+def of_extra(module: str, needs: str, extra: str) -> Any:
+    """Import a module that an extra brings, or raise a MissingExtra that begins with ``needs``, as in "plots need"."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtra(f'{needs} {module.partition(".")[0]}: pip install "anystyle[{extra}]"') from error
 
 
 class Terminated(SystemExit):

@@ -5,13 +5,12 @@ import signal
 import socket
 import time
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.run import show
 from anystyle.contracts import Command
-from anystyle.errors import MissingExtra, UserError
+from anystyle.errors import UserError, of_extra
 
 
 def parser() -> argparse.ArgumentParser:
@@ -34,8 +33,7 @@ class App(Command):
 
     def __call__(self, words: Sequence[str]) -> None:
         arguments, overrides = split(parser(), words)
-        if find_spec("gradio") is None:
-            raise MissingExtra('anystyle app needs Gradio; pip install "anystyle[app]"')
+        of_extra("gradio", "anystyle app needs", "app")
         try:  # Gradio would try a hundred ports, each for seconds
             socket.create_server((arguments.host, arguments.port or 0)).close()
         except (OSError, OverflowError) as error:

@@ -2,7 +2,9 @@
 
 import re
 import socket
+import sys
 import zipfile
+from types import ModuleType
 
 import pytest
 import torch
@@ -80,7 +82,7 @@ def test_what_cannot_be_made_is_one_line(tmp_path, inputs, style, more, line):
 
 @pytest.mark.parametrize(("host", "reason"), [("127.0.0.1", "in use"), ("203.0.113.1", "assign")])
 def test_an_address_that_cannot_be_had_is_one_line(monkeypatch, host, reason):
-    monkeypatch.setattr(command, "find_spec", lambda name: name)
+    monkeypatch.setitem(sys.modules, "gradio", ModuleType("gradio"))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UserError, match=f"cannot answer at {host}, port {port}: .*{reason}"):
@@ -88,6 +90,6 @@ def test_an_address_that_cannot_be_had_is_one_line(monkeypatch, host, reason):
 
 
 def test_without_gradio_one_line_names_the_extra(monkeypatch):
-    monkeypatch.setattr(command, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "gradio", None)
     with pytest.raises(MissingExtra, match=re.escape('pip install "anystyle[app]"')):
         command.App()([])

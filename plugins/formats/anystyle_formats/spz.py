@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anystyle.contracts import Format
-from anystyle.errors import MissingExtra, UserError
+from anystyle.errors import UserError, of_extra
 from anystyle.io.atomic import atomic_path, final
 from anystyle.io.ply import from_smallest_three
 from anystyle.io.splats import Remarks
@@ -148,10 +148,7 @@ def decoded(data: bytes, remarks: Remarks) -> Gaussians:
 
 def _zstd(data: bytes, streams: int, expected: int) -> bytes:
     """The streams of version 4, one per attribute, behind a table of their sizes."""
-    try:
-        import zstandard
-    except ModuleNotFoundError:
-        raise MissingExtra('SPZ files of version 4 need zstandard: pip install "anystyle[spz]"') from None
+    zstandard = of_extra("zstandard", "SPZ files of version 4 need", "spz")
     (start,) = struct.unpack_from("<I", data, 16)
     sizes = struct.unpack_from(f"<{2 * streams}Q", data, start)
     if sum(sizes[1::2]) != expected:

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle.cli.arguments import EPILOG, new_parser, parse, split
 from anystyle.cli.launch import job_folder, launch
-from anystyle.errors import UserError
+from anystyle.errors import UserError, of_extra
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import fit
 from anystyle.registry.build import build_all
@@ -167,7 +167,7 @@ def analyze_parser() -> argparse.ArgumentParser:
 def analyze_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Analyse answers."""
     if not arguments.no_report:
-        figures.require_matplotlib()
+        of_extra("matplotlib", "figures and the report need", "report")
     study = None if arguments.study is None else read_study(arguments.study)
     questions = () if study is None else study.plan.questions
     rules = Rules() if study is None else study.plan.rules
@@ -251,7 +251,7 @@ def power_parser() -> argparse.ArgumentParser:
 def power_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Simulate studies."""
     if arguments.out is not None:
-        figures.require_matplotlib()
+        of_extra("matplotlib", "figures and the report need", "report")
     tests = build_all(StudyTest, config.study_test, alternative=arguments.alternative, seed=arguments.seed)
     study = power_study(
         Scenario(effect=arguments.effect, **{option.name: getattr(arguments, option.name) for option in _SCENARIO}),

@@ -5,14 +5,12 @@ import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib.util import find_spec
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from anystyle.errors import MissingExtra
 from anystyle_study.analysis import Analysis, Mean, QuestionAnalysis
 from anystyle_study.power import PowerStudy, Rate
 
@@ -28,12 +26,6 @@ _LABELS = {-1.0: "ours much better", 0.0: "no difference", 1.0: "theirs much bet
 # Okabe and Ito's colours, distinct under colour blindness.
 _PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#332288", "#117733")
 _MARKERS = {"response": "x", "participant": "o", "item": "s"}
-
-
-def require_matplotlib() -> None:
-    """Check that figures can be drawn."""
-    if find_spec("matplotlib") is None:
-        raise MissingExtra('figures and the report need matplotlib: pip install "anystyle[report]"')
 
 
 @contextmanager

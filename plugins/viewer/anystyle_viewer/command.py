@@ -6,12 +6,11 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, split
 from anystyle.contracts import Command
-from anystyle.errors import MissingExtra, UserError
+from anystyle.errors import UserError, of_extra
 from anystyle.pipeline.encode import encode
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
@@ -80,8 +79,7 @@ def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None
 
 
 def _serve_scene(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
-    if find_spec("viser") is None:
-        raise MissingExtra('anystyle view needs viser; pip install "anystyle[viewer]"')
+    of_extra("viser", "anystyle view needs", "viewer")
     from anystyle_viewer.viewer import Viewer
 
     opened, folder = (str(arguments.input), overrides), arguments.keep

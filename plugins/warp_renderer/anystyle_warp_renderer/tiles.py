@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int32
 from torch import Tensor
 
-from anystyle.errors import MissingExtra
+from anystyle.errors import of_extra
 from anystyle.geometry.projection import ProjectedGaussians
 
 TILE = 8
@@ -23,10 +23,7 @@ def imported() -> ModuleType:
     Raises:
         MissingExtra: It is not installed.
     """
-    try:
-        import warp
-    except ImportError as error:
-        raise MissingExtra('the renderer "warp" needs warp-lang: pip install "anystyle[warp]"') from error
+    warp = of_extra("warp", 'the renderer "warp" needs', "warp")
     warp.config.log_level = warp.LOG_WARNING  # otherwise it greets, and tells of every kernel that it compiles
     shown, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

@@ -7,22 +7,13 @@ from typing import Any
 
 from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.data.images import open_image
-from anystyle.errors import MissingExtra
+from anystyle.errors import of_extra
 from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
 
 COLORS = {"ours": "#2f5d8a", "stand-in": "#c0862b", "published": "#8a8a92"}
 INK, RULE = "#1c1c1e", "#dcdce2"
-
-
-def plotting() -> Any:
-    """Matplotlib's figures, drawn without a screen."""
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        raise MissingExtra('plots need matplotlib: pip install "anystyle[report]"') from None
-    return Figure
 
 
 def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
@@ -88,7 +79,8 @@ def panels(
     """A figure with panels in rows of four, and their axes; each has a level for every title, from above."""
     num_columns = min(4, num_panels)
     num_rows = math.ceil(num_panels / num_columns)
-    figure = plotting()(figsize=(margin[0] + num_columns * width, margin[1] + num_rows * height), dpi=130)
+    size = margin[0] + num_columns * width, margin[1] + num_rows * height
+    figure = of_extra("matplotlib.figure", "plots need", "report").Figure(figsize=size, dpi=130)
     axes = list(figure.subplots(num_rows, num_columns, squeeze=False).flat)
     for index, axis in enumerate(axes[:num_panels]):
         labels = titles if index % num_columns == 0 else ()

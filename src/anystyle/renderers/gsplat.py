@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import LinearView
-from anystyle.errors import MissingExtra
+from anystyle.errors import of_extra
 from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances
 from anystyle.renderers.rasterizer import KeptView, Rasterizer, at_least_single
@@ -90,8 +90,4 @@ class GsplatRenderer(Rasterizer):
 
 
 def _gsplat() -> Any:
-    try:
-        import gsplat  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise MissingExtra('the renderer "gsplat" needs gsplat: pip install "anystyle[gpu]"') from error
-    return gsplat
+    return of_extra("gsplat", 'the renderer "gsplat" needs', "gpu")

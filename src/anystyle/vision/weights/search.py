@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from anystyle import paths
-from anystyle.errors import MissingExtra, UserError
+from anystyle.errors import UserError, of_extra
 from anystyle.io.checkpoint import sha256
 from anystyle.paths import expanded
 from anystyle.registry.packages import packages
@@ -87,13 +87,10 @@ def download(name: str) -> Path:
     if entry.hub is None:
         found = f"get it from {entry.source} ({entry.license}) and {put}"
         raise UserError(f"the Hugging Face hub does not have {name!r}: {found}")
-    try:
-        from huggingface_hub import hf_hub_download  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise MissingExtra(f'downloading {name} needs huggingface_hub: pip install "anystyle[hub]"') from None
+    hub = of_extra("huggingface_hub", f"downloading {name} needs", "hub")
     owner, repository, path = entry.hub.split("/", 2)
     try:
-        return Path(hf_hub_download(f"{owner}/{repository}", path))
+        return Path(hub.hf_hub_download(f"{owner}/{repository}", path))
     except OSError as error:
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         raise UserError(
