@@ -109,7 +109,7 @@ def test_inputs_that_do_not_exist_are_told_before_networks_are_built(tmp_path, c
         "root is not given": ["protocol=table2"],
         "there is no such folder": ["protocol=paper_image", "scenes=folder", f"scenes.root={tmp_path}/absent"],
         "absent: there is no such": ["scenes=procedural", "styles=folder", f"styles.root={tmp_path}/absent"],
-        "this protocol needs styles": ["scenes=procedural"],
+        "this needs styles": ["scenes=procedural"],
         "scene_names: there is no scene 'x'": ["scenes=procedural", "protocol.scene_names=[x]"],
         "there is no run": ["--run", tmp_path / "absent"],
     }
@@ -197,7 +197,7 @@ def test_what_cannot_be_judged_is_one_line_and_leaves_nothing(tmp_path, capsys):
         "Could not find 'metric/plain_chagne'. Did you mean 'plain_change'?": [*given, "metric=[plain_chagne]"],
         "--run judges a model, and --stylized judges images": [*given, "--run", tmp_path],
         "holds no finished training": ["--run", tmp_path / "empty"],
-        "this protocol needs scenes; add scenes=NAME": [*TOY],
+        "this needs scenes; add scenes=NAME": [*TOY],
         "unrecognized arguments: --contnet": ["--contnet", content],
     }
     for told, words in cases.items():

@@ -16,7 +16,8 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
 from anystyle.contracts import Method, Metric, SceneSource, StyleSource
-from anystyle.contracts.protocol import Evaluation, Protocol, required
+from anystyle.contracts.protocol import Evaluation, Protocol
+from anystyle.contracts.scene import required
 from anystyle.errors import UserError
 from anystyle.evaluation.comparisons import read, read_seconds, seconds_file, write_cameras
 from anystyle.evaluation.judge import judge_pairing

@@ -4,16 +4,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from anystyle.errors import UserError
 from anystyle.registry.catalog import Pluggable
 from anystyle.types import OnProgress
 
 SCENE = "scene "
 """The prefix of groups that hold the scores of one scene."""
-
-_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True)
@@ -121,10 +118,3 @@ class Protocol(Pluggable, ABC):
         Raises:
             UserError: Something that the protocol needs is missing or does not fit.
         """
-
-
-def required(part: _Part | None, kind: str) -> _Part:
-    """A part that must be configured; raises a :class:`UserError` if it is not."""
-    if part is None:
-        raise UserError(f"this protocol needs {kind}; add {kind}=NAME (`anystyle plugins {kind}` lists them)")
-    return part

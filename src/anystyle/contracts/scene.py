@@ -2,11 +2,12 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.registry.catalog import Pluggable
 from anystyle.types import (
     Cameras,
@@ -58,6 +59,16 @@ class StyleSource(Pluggable, ABC):
     @abstractmethod
     def read(self, style: int) -> Style:
         """One style as a batch of one, on the CPU."""
+
+
+_Source = TypeVar("_Source", SceneSource, StyleSource)
+
+
+def required(source: _Source | None, kind: str) -> _Source:
+    """A source that a training or a protocol needs; raises a :class:`UserError` if none is configured."""
+    if source is None:
+        raise UserError(f"this needs {kind}; add {kind}=NAME (`anystyle plugins {kind}` lists them)")
+    return source
 
 
 class LinearView(ABC):

@@ -2,13 +2,12 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar, Literal, Protocol, TypeVar, runtime_checkable
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
 from torch import nn
 
 from anystyle.contracts.scene import SceneSource, StyleSource
-from anystyle.errors import UserError
 from anystyle.registry.catalog import Pluggable
 from anystyle.types import Value
 
@@ -42,13 +41,3 @@ class Training(Pluggable, pl.LightningModule, ABC):
     @abstractmethod
     def exports(self) -> Mapping[str, nn.Module]:
         """The modules whose weights are written at the end, by the part that they are, such as ``branch``."""
-
-
-_Source = TypeVar("_Source", SceneSource, StyleSource)
-
-
-def required(source: _Source | None, kind: str) -> _Source:
-    """A source that must be configured."""
-    if source is None:
-        raise UserError(f"this training needs {kind}; add {kind}=NAME (`anystyle plugins {kind}` lists them)")
-    return source

@@ -15,7 +15,8 @@ from torch import nn
 from torch.distributed import DistBackendError
 
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
-from anystyle.contracts.training import Training, required
+from anystyle.contracts.scene import required
+from anystyle.contracts.training import Training
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, save_part, sha256

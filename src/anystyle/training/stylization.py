@@ -12,7 +12,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
-from anystyle.contracts.training import Training, required
+from anystyle.contracts.scene import required
+from anystyle.contracts.training import Training
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil

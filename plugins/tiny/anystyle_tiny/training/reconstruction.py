@@ -15,7 +15,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
-from anystyle.contracts.training import Training, required
+from anystyle.contracts.scene import required
+from anystyle.contracts.training import Training
 from anystyle.ranges import AtLeastOne, Count, Positive
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import scheduled

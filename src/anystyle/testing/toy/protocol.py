@@ -6,7 +6,8 @@ from pathlib import Path
 import torch
 
 from anystyle.contracts import SceneSource, StyleSource
-from anystyle.contracts.protocol import Evaluation, Protocol, Row, required
+from anystyle.contracts.protocol import Evaluation, Protocol, Row
+from anystyle.contracts.scene import required
 from anystyle.io.atomic import atomic_path
 from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress, Progress

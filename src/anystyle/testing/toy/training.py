@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, SceneSource, StyleSource
-from anystyle.contracts.training import Training, required
+from anystyle.contracts.scene import required
+from anystyle.contracts.training import Training
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle.training.data import Batch, SceneBatches
 
