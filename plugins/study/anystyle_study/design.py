@@ -125,11 +125,14 @@ class _Writer:
         return name
 
     def _write(self, images: Sequence[Image.Image]) -> tuple[str, ...]:
+        from anystyle.data.images import to_tensor
+        from anystyle.io.video import write_video
+
         names = tuple(map(self._picture, images if self.plan.show != "video" else images[:1]))
         if self.plan.show != "video" or len(images) == 1:
             return names
         video = Path(names[0]).with_suffix(".mp4").name
-        pictures.write_video(images, self.folder / video, self.plan.frames_per_second)
+        write_video(map(to_tensor, images), self.folder / video, fps=self.plan.frames_per_second)
         return (video,)
 
 

@@ -5,19 +5,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-import av
+import numpy as np
 from PIL import Image, ImageOps
 
 from anystyle.errors import UserError
 from anystyle.evaluation.names import folded
-from anystyle.io.images import opened, require_pixels
 from anystyle.paths import natural
 
 log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-_LONGEST = 4096
 
 ResultPaths = Mapping[tuple[str, str], Sequence[Path]]
 """One method's frames of each scene and style, in order."""
@@ -82,10 +80,9 @@ def spread(entries: Sequence[_T], count: int) -> list[_T]:
 
 def read_picture(path: Path) -> Image.Image:
     """An image as RGB, upright, transparency over white, without any metadata."""
-    with opened(path) as image:
-        require_pixels(image, _LONGEST)
-        upright = ImageOps.exif_transpose(image).convert("RGBA")
-    return Image.alpha_composite(Image.new("RGBA", upright.size, "white"), upright).convert("RGB")
+    from anystyle.data.images import open_image  # with torch, whose import takes seconds
+
+    return Image.fromarray(np.asarray(open_image(path)))
 
 
 def fitted_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
@@ -98,15 +95,3 @@ def degraded(image: Image.Image) -> Image.Image:
     """A gray copy, blurred to a sixteenth of the resolution."""
     small = ImageOps.grayscale(image).resize((max(1, image.width // 16), max(1, image.height // 16)))
     return small.resize(image.size, Image.Resampling.BICUBIC).convert("RGB")
-
-
-def write_video(images: Sequence[Image.Image], path: Path, frames_per_second: int) -> None:
-    """An H.264 file that browsers play, without sound and without metadata."""
-    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
-        stream = container.add_stream("libx264", rate=frames_per_second, options={"crf": "18", "preset": "fast"})
-        stream.pix_fmt = "yuv420p"
-        stream.width, stream.height = (side - side % 2 for side in images[0].size)
-        for image in images:
-            frame = av.VideoFrame.from_image(image.crop((0, 0, stream.width, stream.height)))
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
