@@ -13,7 +13,7 @@ from msgspec import Struct
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.errors import UserError, unknown
 from anystyle.evaluation.tables import Table, number, titled
-from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.atomic import write_json, write_text
 from anystyle.io.documents import Number, as_number, stored_number
 from anystyle_benchmark.judge import GUIDES
 from anystyle_benchmark.results import Figures, read_figures
@@ -63,9 +63,8 @@ def main(args: Sequence[str]) -> None:
     print(text)
     if (out := arguments.out) is not None:
         write_json(out / "compare.json", {"figures": msgspec.to_builtins(found)})
-        for name, content in (("compare.md", f"{text}\n"), ("compare.csv", listed.csv())):
-            with atomic_path(out / name) as path:
-                path.write_text(content, encoding="utf-8")
+        write_text(out / "compare.md", f"{text}\n")
+        write_text(out / "compare.csv", listed.csv())
 
 
 def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:

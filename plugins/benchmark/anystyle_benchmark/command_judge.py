@@ -12,7 +12,7 @@ from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.progress import progress_lines
 from anystyle.errors import UserError
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
-from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.atomic import write_json, write_text
 from anystyle.io.documents import as_number
 from anystyle.io.limits import free
 from anystyle_benchmark.judge import Judge, inputs_of, read_methods, wrong
@@ -76,9 +76,8 @@ def main(args: Sequence[str]) -> None:
         figures = joined(figures, others)
     write_json(results / FIGURES, msgspec.to_builtins(figures))
     table = summary(figures).markdown()
-    for name, text in (("table.md", table), ("table.csv", listing(figures).csv())):
-        with atomic_path(results / name) as path:
-            path.write_text(text, encoding="utf-8")
+    write_text(results / "table.md", table)
+    write_text(results / "table.csv", listing(figures).csv())
     for cell in figures.cells:
         if cell.message:
             print(f"{cell.status}: {', '.join(map(str, cell.cell))}: {cell.message}", file=sys.stderr)

@@ -11,7 +11,7 @@ from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.progress import progress_lines
 from anystyle.errors import UserError, unknown
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
-from anystyle.io.atomic import atomic_directory, atomic_path, write_json
+from anystyle.io.atomic import atomic_directory, write_json, write_text
 from anystyle.io.documents import as_number, kept_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress
@@ -73,9 +73,8 @@ def main(args: Sequence[str]) -> None:
     verdicts = judged(figures, names)
     write_json(root / LADDER, msgspec.to_builtins({"track": lock, "method": spec, "verdicts": verdicts}))
     listed = table(verdicts, figures, spec)
-    for name, text in (("ladder.md", listed.markdown()), ("ladder.csv", listed.csv())):
-        with atomic_path(root / name) as path:
-            path.write_text(text, encoding="utf-8")
+    write_text(root / "ladder.md", listed.markdown())
+    write_text(root / "ladder.csv", listed.csv())
     print(f"{listed.markdown()}\nin {root}: {LADDER}, ladder.md, ladder.csv")
 
 

@@ -20,7 +20,7 @@ from anystyle.contracts import Format
 from anystyle.geometry import confidence
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_text
 from anystyle.io.splats import Splats
 from anystyle.types import Cameras, StyledScene
 from anystyle_formats.packing import codebook, columns_of, in_bytes, in_words, joined_bits, morton_order, smallest_three
@@ -58,8 +58,7 @@ class Html(Format):
             data=base64.b64encode(gzip.compress(blob, mtime=0)).decode(),
             script=script,
         )
-        with atomic_path(path) as temporary:
-            temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
+        write_text(path, page)
 
 
 def _manifest(scene: StyledScene) -> dict[str, object]:

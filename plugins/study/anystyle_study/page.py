@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_text
 from anystyle_study.protocol import PICTURES, Participant, Study
 
 _KINDS = {".jpg": "image/jpeg", ".mp4": "video/mp4"}
@@ -59,6 +59,4 @@ def write_page(study: Study, folder: Path, out: Path) -> None:
         raise UserError(f"{folder / PICTURES} lacks {len(missing)} pictures, such as {missing[0].name}; design anew")
     contents = ((path, base64.b64encode(path.read_bytes()).decode()) for path in paths)
     pictures = {path.name: f"data:{_KINDS[path.suffix]};base64,{content}" for path, content in contents}
-    page = render(study, pictures)
-    with atomic_path(out) as path:
-        path.write_text(page, encoding="utf-8")
+    write_text(out, render(study, pictures))

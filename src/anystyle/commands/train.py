@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle.cli.launch import main, returned
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_text
 from anystyle.paths import shown
 
 
@@ -61,8 +61,7 @@ def write_hydra_files(config: DictConfig, out: Path) -> None:
     hydra = HydraConfig.instance().cfg
     files = {"config.yaml": config, "hydra.yaml": hydra, "overrides.yaml": HydraConfig.get().overrides.task}
     for name, content in files.items():
-        with atomic_path(out / ".hydra" / name) as temporary:
-            temporary.write_text(OmegaConf.to_yaml(content), encoding="utf-8", errors="backslashreplace")
+        write_text(out / ".hydra" / name, OmegaConf.to_yaml(content))
 
 
 def check_devices(config: DictConfig) -> None:

@@ -10,7 +10,7 @@ import msgspec
 
 from anystyle.contracts.protocol import SCENE, Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
-from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.atomic import write_json, write_text
 from anystyle.io.documents import Number, as_number, fit, read_json
 from anystyle.ranges import Count
 
@@ -44,8 +44,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
     rows = rows_table(evaluation.rows, evaluation.stand_ins)
     texts = {"metrics.csv": rows.csv(), "table.md": table.markdown(), "table.tex": table.latex()}
     for name, text in texts.items():
-        with atomic_path(out / name) as temporary:
-            temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+        write_text(out / name, text)
     stored = {**evaluation.scores, **evaluation.groups, "provenance": {**evaluation.provenance, **facts}}
     write_json(out / FILE, stored)
     return evaluation

@@ -50,11 +50,16 @@ def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def write_text(path: str | Path, text: str, *, sync: bool = False) -> None:
+    """Write a text as UTF-8, as :func:`atomic_path` does; what UTF-8 lacks, such as parts of file names, is escaped."""
+    with atomic_path(path, sync=sync) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
 def write_json(path: str | Path, value: object) -> None:
     """Write a value as readable JSON; infinite and missing ones as :func:`~anystyle.io.documents.stored_number`."""
     text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with atomic_path(path, sync=True) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+    write_text(path, text, sync=True)
 
 
 @contextmanager

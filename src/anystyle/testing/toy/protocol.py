@@ -8,7 +8,7 @@ import torch
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.contracts.protocol import Evaluation, Protocol, Row
 from anystyle.contracts.scene import required
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_json
 from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress, Progress
 
@@ -37,8 +37,7 @@ class ToyProtocol(Protocol):
             on_progress(Progress.count("scenes", scene, self.num_scenes))
             kept = out / f"{self.scenes.name(scene)}.json"
             if not kept.is_file():
-                with atomic_path(kept) as temporary:
-                    temporary.write_text(json.dumps({"contrast_change": self._judge(scene)}))
+                write_json(kept, {"contrast_change": self._judge(scene)})
             rows.append(Row(self.scenes.name(scene), self.style.names[0], json.loads(kept.read_text())))
         on_progress(Progress.count("scenes", self.num_scenes, self.num_scenes))
         mean = sum(row.scores["contrast_change"] for row in rows) / len(rows)
