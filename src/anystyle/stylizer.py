@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, StylePredictor, neutral_embedding
 from anystyle.errors import UserError
+from anystyle.renderers.rasterizer import check
 from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Tokens, Views
 from anystyle.types.shapes import check_tensor, check_value
 
@@ -167,21 +168,12 @@ class Stylizer(nn.Module):
         """Render every scene from every camera; the cameras of one scene serve all styles of it."""
         _expect(gaussians, Gaussians)
         _expect(cameras, Cameras)
-        batch, given = gaussians.means.shape[0], cameras.intrinsics.shape[0]
-        if given not in (1, batch):
-            raise UserError(
-                f"the cameras are of {given} scenes and the Gaussians of {batch}; give the cameras of one scene, or of "
-                "each, such as scene.cameras"
-            )
-        if gaussians.means.device != cameras.intrinsics.device:
-            raise UserError(
-                f"the Gaussians are on {gaussians.means.device} and the cameras on {cameras.intrinsics.device}; move "
-                "one with .to(...)"
-            )
+        batch = gaussians.means.shape[0]
+        if cameras.intrinsics.shape[0] == 1:
+            cameras = cameras.expand(batch)
+        check(gaussians, cameras)
         if not self.training:
             _check_cameras(cameras)
-        if given == 1 and batch > 1:
-            cameras = cameras.expand(batch)
         renders, (height, width) = self.renderer(gaussians, cameras), cameras.size
         where = f"the renderer {type(self.renderer).__qualname__}"
         check_value(renders, Renders, where, B=batch, V=cameras.intrinsics.shape[1], H=height, W=width)
