@@ -69,8 +69,7 @@ def test_damaged_files_are_refused(capture, name, content, told):
 
 
 def test_poses_that_do_not_match_are_refused(capture, tmp_path):
-    with pytest.raises(ValueError, match="1 of 4 photographs have no stored camera"):
-        from_files(*sources(capture, 4))[2].of_all(["0", "1", "2", "3"])
+    assert from_files(*sources(capture, 4))[2].indices == (0, 1, 2)
     content = json.loads((capture / "transforms.json").read_text())
     (capture / "transforms.json").write_text(json.dumps(content | {"w": 480, "h": 480}))
     with pytest.raises(ValueError, match="for an image of 480x480"):

@@ -20,7 +20,7 @@ from anystyle.contracts.protocol import SCENE, Evaluation, Protocol, Row
 from anystyle.data.folder import read_originals, read_views
 from anystyle.data.images import read_image
 from anystyle.data.photo_masks import masked_views
-from anystyle.errors import UserError
+from anystyle.errors import UserError, listing
 from anystyle.evaluation.judge import judge_scene, mean
 from anystyle.examples import resolved
 from anystyle.io.atomic import atomic_directory, write_json
@@ -251,9 +251,11 @@ class Captures(Protocol):
         if self.poses == "known":
             read = read_views([path], short_side=short_side, multiple=multiple, max_views=self.take, enlarge=enlarge)
             views, sources, known = from_files(*read)
+            if absent := [source.name for index, source in enumerate(sources) if index not in known.indices]:
+                told = f"{len(absent)} of {len(sources)} photographs have no stored camera: {listing(absent, 5)}"
+                raise UserError(f"{told}; leave them out, or set protocol.poses=sfm")
             views, masks = masked_views(views, sources, {}, empty=True)
-            posed = replace(views, cameras=known.of_all([source.name for source in sources]))
-            return posed, None, {"trust": "known", "masks": masks}
+            return replace(views, cameras=known.views), None, {"trust": "known", "masks": masks}
         estimator = StructureFromMotion()
         originals = read_originals([path], longest=estimator.longest, max_views=self.take)
         posed = estimator(originals, short_side=short_side, enlarge=enlarge, multiple=multiple, on_progress=no_progress)

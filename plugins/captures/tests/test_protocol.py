@@ -41,16 +41,21 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
     over = evaluation.groups["photographs over stylized"]
     assert over["consistency"] == 1 and "consistency_coverage" not in over  # all kinds have the same
     monkeypatch.undo()  # of one capture the backbone failed, and it does not of the next
-    write_wall(tmp_path / "second")
-    protocol.captures = [tmp_path / "nothing", *protocol.captures, tmp_path / "second"]
+    for name in ("second", "partial"):
+        write_wall(tmp_path / name)
+    cameras = json.loads((tmp_path / "partial" / "transforms.json").read_text())
+    cameras["frames"].pop()
+    (tmp_path / "partial" / "transforms.json").write_text(json.dumps(cameras))
+    protocol.captures = [tmp_path / "nothing", tmp_path / "partial", *protocol.captures, tmp_path / "second"]
     protocol.captures[0].mkdir()
     others = Captures.run(protocol, tmp_path / "out", no_progress)
     assert others.provenance["scenes"] == ["wall", "second"]
     assert others.groups["scene wall"] == pytest.approx(evaluation.scores)
     assert "nothing is left out: there are no images in the folder" in others.provenance["warnings"][0]
+    assert "1 of 6 photographs have no stored camera: 05; leave" in others.provenance["warnings"][1]
     single = others.groups["feedforward"]
     assert single.keys() == {"psnr", "matched_psnr", "ssim", protocol.lpips.name} and not isnan(single["psnr"])
-    del protocol.captures[0]
+    del protocol.captures[:2]
     protocol.better["csd"] = "higher"
     with pytest.raises(ValueError, match="judged without csd, by other metrics or networks"):
         protocol.run(tmp_path / "out", no_progress)

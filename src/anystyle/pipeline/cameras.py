@@ -38,17 +38,6 @@ class KnownCameras:
     targets: Cameras
     names: tuple[str, ...]
 
-    def of_all(self, names: Sequence[str]) -> Cameras:
-        """The cameras of all input views, in their order."""
-        without = [name for index, name in enumerate(names) if index not in self.indices]
-        if without:
-            shown = ", ".join(without[:5])
-            raise UserError(
-                f"{len(without)} of {len(names)} photographs have no stored camera ({shown}); leave them out, or use "
-                "poses=target"
-            )
-        return self.views
-
     def targets_in_scene(self, predicted: Cameras) -> tuple[Cameras, Similarity]:
         """The targets in the frame of predicted cameras, and the similarity from their own frame to it."""
         poses = predicted.world_from_camera[0, list(self.indices)]
