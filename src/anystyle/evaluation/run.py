@@ -35,6 +35,8 @@ RUN_OR_IMAGES = "--run judges a model, and --stylized judges images; give one of
 STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
 """Parts of a configuration on which the images of a model depend."""
 log = logging.getLogger(__name__)
+Place = str | Path | None
+"""A folder that may be given."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +53,7 @@ class Images:
     """The overrides with which a configuration is composed that :meth:`configured` completes."""
 
     @classmethod
-    def of(
-        cls,
-        content: str | Path | None,
-        style: str | Path | None,
-        stylized: str | Path | None,
-        depth: str | Path | None,
-        layout: str | None,
-    ) -> "Images | None":
+    def of(cls, content: Place, style: Place, stylized: Place, depth: Place, layout: str | None) -> "Images | None":
         """The images that are given; ``None`` where none are, and a UserError where a folder is missing."""
         folders = {"content": content, "style": style, "stylized": stylized}
         missing = [f"--{name}" for name, folder in folders.items() if folder is None]
@@ -85,13 +80,13 @@ class Images:
 def evaluate(
     overrides: Sequence[str] = (),
     *,
-    content: str | Path | None = None,
-    style: str | Path | None = None,
-    stylized: str | Path | None = None,
-    depth: str | Path | None = None,
+    content: Place = None,
+    style: Place = None,
+    stylized: Place = None,
+    depth: Place = None,
     layout: str | None = None,
-    trained: str | Path | None = None,
-    out: str | Path | None = None,
+    trained: Place = None,
+    out: Place = None,
     on_progress: OnProgress = no_progress,
 ) -> Evaluation:
     """Judge a model on a protocol, or any method's images in folders, as ``anystyle evaluate`` does.
