@@ -13,9 +13,9 @@ from .search import locate as locate
 from .search import published as published
 from .search import stand_ins as stand_ins
 from .search import verified as verified
-from .table import License as License
 from .table import WeightsFile as WeightsFile
 from .table import files as files
 from .table import license_lines as license_lines
 from .table import licenses as licenses
+from .table import meaning as meaning
 from .table import row as row

@@ -15,11 +15,6 @@ from anystyle.registry.packages import packages
 TABLE = "weights.toml"
 """The file of a package's rows: one table for each, with the fields of :class:`WeightsFile`."""
 
-_MEANINGS = {
-    True: "results may not be used commercially",
-    False: "results may be used freely; redistributed weights keep their notice",
-    None: "the terms are not known; ask the publisher of the weights before you share results",
-}
 _BINDING = ("NC", "non-commercial", "noncommercial", "research")
 _FREE = ("Apache", "MIT", "BSD", "CC0", "CC-BY-4.0")
 
@@ -66,31 +61,18 @@ def row(name: str) -> WeightsFile:
     return known[name]
 
 
-@dataclass(frozen=True)
-class License:
-    """The licence of a file of weights; no legal advice."""
+def meaning(name: str) -> str:
+    """What the licence of a file of weights means for a scene, in a sentence; no legal advice.
 
-    name: str
-    binds: bool | None
-    """Whether results may not be used commercially; ``None`` where the terms are not known."""
-
-    @classmethod
-    def named(cls, name: str | None) -> "License":
-        """The licence that a table of weights names.
-
-        Example:
-            >>> [License.named(name).binds for name in ("CC-BY-NC-4.0", "Apache-2.0", "see the record")]
-            [True, False, None]
-        """
-        if name is None:
-            return cls("not stated", None)
-        bound = any(word in name for word in _BINDING)
-        return cls(name, True if bound else False if name.startswith(_FREE) else None)
-
-    @property
-    def meaning(self) -> str:
-        """What it means for a scene, in a sentence."""
-        return _MEANINGS[self.binds]
+    Example:
+        >>> meaning("CC-BY-NC-4.0")
+        'results may not be used commercially'
+    """
+    if any(word in name for word in _BINDING):
+        return "results may not be used commercially"
+    if name.startswith(_FREE):
+        return "results may be used freely; redistributed weights keep their notice"
+    return "the terms are not known; ask the publisher of the weights before you share results"
 
 
 def licenses(loaded: object) -> dict[str, dict[str, str]]:
@@ -98,8 +80,8 @@ def licenses(loaded: object) -> dict[str, dict[str, str]]:
     names = {entry.file: entry.license for entry in files().values()}
     found: dict[str, dict[str, str]] = {}
     for part, entry in loaded.items() if isinstance(loaded, Mapping) else ():
-        terms = License.named(names.get(file := str(entry["file"])))
-        found[part] = {"file": file, "license": terms.name, "means": terms.meaning}
+        terms = names.get(file := str(entry["file"]), "not stated")
+        found[part] = {"file": file, "license": terms, "means": meaning(terms)}
     return found
 
 
