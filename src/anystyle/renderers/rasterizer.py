@@ -65,9 +65,10 @@ class CappedRasterizer(Rasterizer):
 
 def check(gaussians: Gaussians, cameras: Cameras) -> None:
     """Check that Gaussians and cameras belong together."""
-    if gaussians.means.shape[0] != cameras.world_from_camera.shape[0]:
+    scenes, given = gaussians.means.shape[0], cameras.world_from_camera.shape[0]
+    if scenes != given:
         raise UserError(
-            f"Gaussians of {gaussians.means.shape[0]} scenes and cameras of {cameras.world_from_camera.shape[0]}; "
+            f"Gaussians of {scenes} scenes and cameras of {given} scenes; "
             "give the cameras of each scene, or expand one of the two"
         )
     if gaussians.means.device != cameras.world_from_camera.device:
