@@ -14,6 +14,7 @@ from jaxtyping import Float
 from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
+from anystyle.geometry.confidence import projected
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.geometry.transforms import matrix_from_vector
 from anystyle.types import Cameras, Gaussians
@@ -232,8 +233,5 @@ def _normal(shape: tuple[int, ...], seed: int) -> Tensor:
 
 def _depths(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "V N"]:
     """Depths along z of the centres that each view shows; ``nan`` of others."""
-    pose, (height, width) = cameras.camera_from_world[0], cameras.size
-    points = torch.einsum("vij,nj->vni", pose[:, :3, :3], gaussians.means[0]) + pose[:, None, :3, 3]
-    x, y, z = torch.einsum("vij,vnj->ivn", cameras.intrinsics[0], points)
-    shown = (z > 0) & (x >= 0) & (x < width * z) & (y >= 0) & (y < height * z) & (gaussians.opacities > 0)
-    return torch.where(shown, z, torch.nan)
+    position, inside = projected(gaussians.means[0], cameras)
+    return torch.where(inside & (gaussians.opacities > 0), position[..., 2], torch.nan)

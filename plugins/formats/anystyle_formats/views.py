@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.geometry.confidence import projected
 from anystyle.types import Cameras
 
 _POINTS = 20_000
@@ -25,15 +26,12 @@ def best_view(means: Float[Tensor, "N 3"], opacities: Float[Tensor, " N"], camer
     points = points[:: -(-len(points) // _POINTS) or 1]
     rows, columns = _CELLS
     (height, width), count = cameras.size, rows * columns
-    poses, intrinsics = cameras.camera_from_world[0].cpu().to(points), cameras.intrinsics[0].cpu().to(points)
-    local = points @ poses[:, :3, :3].mT + poses[:, None, :3, 3]  # V N 3
-    depth = local[..., 2]
-    pixels = (local / depth.clamp_min(1e-6)[..., None] @ intrinsics.mT)[..., :2]
-    row, column = (pixels[..., 1] * rows / height).floor(), (pixels[..., 0] * columns / width).floor()
-    inside = (depth > 1e-6) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    position, inside = projected(points, cameras)
+    column, row, depth = position.unbind(-1)
+    row, column = (row * rows / height).floor(), (column * columns / width).floor()
     cell = torch.where(inside, row * columns + column, count).long()  # the last is outside
-    nearest = torch.full((len(poses), count + 1), torch.inf).scatter_reduce(1, cell, depth, "amin")
+    nearest = torch.full((len(inside), count + 1), torch.inf).scatter_reduce(1, cell, depth, "amin")
     seen = (inside & (depth <= _BEHIND * nearest.gather(1, cell))).float()
     shared = seen * (seen.sum(0) > 1)
-    sums, counts = (torch.zeros(len(poses), count + 1).scatter_add(1, cell, each) for each in (shared, seen))
+    sums, counts = (torch.zeros(len(inside), count + 1).scatter_add(1, cell, each) for each in (shared, seen))
     return int((shared.sum(1) * (sums / counts.clamp_min(1))[:, :count].mean(1)).argmax())

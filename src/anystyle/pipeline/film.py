@@ -20,7 +20,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at, smooth_path
-from anystyle.geometry.confidence import ViewConfidence
+from anystyle.geometry.confidence import ViewConfidence, projected
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import read_json
 from anystyle.io.sheet import to_pil
@@ -152,7 +152,7 @@ def orbit(gaussians: Gaussians, seen: Cameras, frames: int, turns: float = 1.0) 
     Below 0, ``turns`` are the other way; a part of one has the cameras' mean direction in its middle.
     """
     poses = seen.world_from_camera[0].detach().double().cpu()
-    center, up = _focus(poses, _distance(poses, gaussians, seen)), _up(poses)
+    center, up = _focus(poses, _distance(gaussians, seen)), _up(poses)
     offsets = poses[:, :3, 3] - center
     radius = offsets.norm(dim=1).mean().clamp_min(1e-6)
     rise = torch.asin((offsets @ up / offsets.norm(dim=1).clamp_min(1e-6)).clamp(-0.99, 0.99)).mean()
@@ -173,17 +173,13 @@ def _up(poses: Float[Tensor, "V 4 4"]) -> Float[Tensor, "3"]:
     return up * (1.0 if up @ mean > 0 else -1.0)
 
 
-def _distance(poses: Float[Tensor, "V 4 4"], gaussians: Gaussians, seen: Cameras) -> float:
+def _distance(gaussians: Gaussians, seen: Cameras) -> float:
     """From a camera to what it sees, the median over cameras; 1 where they see nothing."""
     means = gaussians.means[0, gaussians.opacities[0] > OPAQUE].double().cpu()
-    height, width = seen.size
     depths = []
-    for pose, intrinsics in zip(poses, seen.intrinsics[0].double().cpu(), strict=True):
-        local = (means - pose[:3, 3]) @ pose[:3, :3]
-        local = local[local[:, 2] > 0]
-        x, y, z = (local @ intrinsics.T).unbind(1)
-        depth = z[(x > 0) & (x < width * z) & (y > 0) & (y < height * z)]
-        depths += [depth.median()] if len(depth) else []
+    for view in range(seen.intrinsics.shape[1]):
+        (position,), (inside,) = projected(means, seen.select([view]))
+        depths += [position[inside, 2].median()] if inside.any() else []
     return float(torch.stack(depths).median()) if depths else 1.0
 
 
