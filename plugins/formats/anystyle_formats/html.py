@@ -5,7 +5,6 @@ import gzip
 import html
 import json
 from importlib.resources import files
-from io import BytesIO
 from math import sqrt
 from pathlib import Path
 from string import Template
@@ -21,6 +20,7 @@ from anystyle.geometry import confidence
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.io.atomic import write_text
+from anystyle.io.sheet import data_url
 from anystyle.io.splats import Splats
 from anystyle.types import Cameras, StyledScene
 from anystyle_formats.packing import codebook, columns_of, in_bytes, in_words, joined_bits, morton_order, smallest_three
@@ -101,10 +101,9 @@ def _fade(scene: StyledScene) -> dict[str, float]:
 
 def _small(picture: Image.Image) -> str:
     """A picture of a style as a ``data:`` URL."""
-    small, data = picture.convert("RGB"), BytesIO()
+    small = picture.convert("RGB")
     small.thumbnail((_PICTURE, _PICTURE), Image.Resampling.LANCZOS)
-    small.save(data, "WEBP", quality=70, method=6)
-    return f"data:image/webp;base64,{base64.b64encode(data.getvalue()).decode()}"
+    return data_url(small, "webp", quality=70, method=6)
 
 
 def _packed(styles: list[Splats]) -> tuple[bytes, dict[str, object], list[dict[str, object]]]:

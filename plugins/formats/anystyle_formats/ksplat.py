@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anystyle.contracts import Format
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_bytes
 from anystyle.io.splats import Remarks
 from anystyle.types import StyledScene
 from anystyle_formats.packing import color_bytes, columns_of
@@ -49,8 +49,7 @@ class Ksplat(Format):
         rows["rest"] = np.concatenate([harmonics[:, :0, 0], *bands], 1)
         start = _START.pack(0, 1, 1, 1, len(rows), len(rows), 0, *means.mean(0), -_RANGE, _RANGE)
         section = _SECTION.pack(len(rows), len(rows), 0, 0, 0.0, 0, 0, rows.nbytes, 0, 0, degree)
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(start.ljust(HEADER, b"\0") + section.ljust(SECTION, b"\0") + rows.tobytes())
+        write_bytes(path, start.ljust(HEADER, b"\0") + section.ljust(SECTION, b"\0") + rows.tobytes())
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, "KSPLAT file") as remarks:

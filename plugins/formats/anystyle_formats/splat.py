@@ -6,7 +6,7 @@ import numpy as np
 
 from anystyle.contracts import Format
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_bytes
 from anystyle.types import StyledScene
 from anystyle_formats.packing import color_bytes, columns_of, in_bytes
 from anystyle_formats.reading import gaussians, reading
@@ -27,8 +27,7 @@ class Splat(Format):
         rows["color"] = color_bytes(path, columns)
         rows["rotation"] = in_bytes(rotations * 128 + 128)
         order = np.argsort(-opacities * scales.prod(1), kind="stable")
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(rows[order].tobytes())
+        write_bytes(path, rows[order].tobytes())
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, ".splat file") as remarks:

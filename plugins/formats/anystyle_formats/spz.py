@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anystyle.contracts import Format
 from anystyle.errors import UserError, of_extra
-from anystyle.io.atomic import atomic_path, final
+from anystyle.io.atomic import final, write_bytes
 from anystyle.io.ply import from_smallest_three
 from anystyle.io.splats import Remarks
 from anystyle.types import Gaussians, StyledScene
@@ -63,8 +63,7 @@ class Spz(Format):
             in_bytes(harmonics[:, 1 : (degree + 1) ** 2] * 128 + 128),
         ]
         header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(means), degree, bits, int(scene.antialiased), 0)
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(gzip.compress(header + b"".join(column.tobytes() for column in columns), mtime=0))
+        write_bytes(path, gzip.compress(header + b"".join(column.tobytes() for column in columns), mtime=0))
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, "SPZ file") as remarks:

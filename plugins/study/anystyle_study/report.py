@@ -1,7 +1,5 @@
 """The report: a section in Markdown and in LaTeX, and one self-contained HTML page, from the same blocks."""
 
-import base64
-import io
 import math
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
@@ -11,6 +9,7 @@ from typing import Any
 from PIL import Image
 
 from anystyle.evaluation.tables import Table, escape_latex, escape_markdown
+from anystyle.io.sheet import data_url
 from anystyle_study import figures, wording
 from anystyle_study.analysis import Analysis, Mean, NamedResult, QuestionAnalysis
 from anystyle_study.checks import KINDS
@@ -174,6 +173,4 @@ def _picture(folder: Path, files: tuple[str, ...], longest: int) -> str:
     with Image.open(file) as picture:
         small = picture.convert("RGB")
     small.thumbnail((longest, longest), Image.Resampling.LANCZOS)
-    data = io.BytesIO()
-    small.save(data, "JPEG", quality=82)
-    return f"data:image/jpeg;base64,{base64.b64encode(data.getvalue()).decode()}"
+    return data_url(small, "jpeg", quality=82)

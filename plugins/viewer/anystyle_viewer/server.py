@@ -1,8 +1,6 @@
 """viser's page with a few additions (dropped images, a row of styles, the line of a split view), and its server."""
 
-import base64
 import hashlib
-import io
 import re
 import socket
 import sys
@@ -15,8 +13,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import parse_qsl, urlsplit
-
-from PIL import Image
 
 from anystyle.data.images import open_image
 from anystyle.errors import UserError, one_line
@@ -51,13 +47,6 @@ def style_row(styles: Sequence[str], current: str, thumbnails: Mapping[str, str]
 def title_of(style: str) -> str:
     """A style as a title; the file of an uploaded image loses its path, suffix and hash."""
     return re.sub(r"(-[0-9a-f]{8})?\.png$", "", Path(style).name) if style.endswith(".png") else style[:60]
-
-
-def data_url(image: Image.Image) -> str:
-    """An image as a ``data:`` URL."""
-    data = io.BytesIO()
-    image.convert("RGB").save(data, "JPEG", quality=85)
-    return f"data:image/jpeg;base64,{base64.b64encode(data.getvalue()).decode()}"
 
 
 def store_upload(folder: Path, name: str, content: bytes) -> Path:

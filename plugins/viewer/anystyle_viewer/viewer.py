@@ -11,7 +11,7 @@ import viser
 from torch import Tensor
 
 from anystyle.errors import UserError, one_line
-from anystyle.io.sheet import to_pil
+from anystyle.io.sheet import data_url, to_pil
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.masks import Sphere
 from anystyle.pipeline.saved import UNSTYLED
@@ -19,7 +19,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.types import Gaussians, StyledScene
 from anystyle_viewer.client_view import CameraPath, ClientView, pose_of, splat_arrays
 from anystyle_viewer.picking import Vector, surface_point
-from anystyle_viewer.server import LOOPBACK, MAX_UPLOAD, PageServer, data_url, page, store_upload, style_row, title_of
+from anystyle_viewer.server import LOOPBACK, MAX_UPLOAD, PageServer, page, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
 
 NO_STYLE = "—"
@@ -231,7 +231,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             self.second.value = next((one for one in titles if one == title_of(self.session.wanted.second)), NO_STYLE)
 
     def _render_thumbnail(self, style: str, gaussians: Gaussians) -> None:
-        self._thumbnails[style] = data_url(to_pil(self.path.thumbnail(gaussians, THUMBNAIL_HEIGHT)))
+        self._thumbnails[style] = data_url(to_pil(self.path.thumbnail(gaussians, THUMBNAIL_HEIGHT)), "jpeg", quality=85)
         self._show_row()
 
     def _show_row(self) -> None:

@@ -50,6 +50,12 @@ def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a file as :func:`atomic_path` does."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
 def write_text(path: str | Path, text: str, *, sync: bool = False) -> None:
     """Write a text as UTF-8, as :func:`atomic_path` does; what UTF-8 lacks, such as parts of file names, is escaped."""
     with atomic_path(path, sync=sync) as temporary:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anystyle.errors import UserError
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_bytes
 
 NUM_PARAMETERS: Mapping[str, int] = {
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8,
@@ -79,8 +79,7 @@ def write(model: Model, folder: Path, *, binary: bool = True) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     suffix, contents = ("bin", _as_bytes(model)) if binary else ("txt", _as_text(model))
     for name, content in zip(("cameras", "images", "points3D"), contents, strict=True):
-        with atomic_path(folder / f"{name}.{suffix}") as temporary:
-            temporary.write_bytes(content)
+        write_bytes(folder / f"{name}.{suffix}", content)
 
 
 def _as_bytes(model: Model) -> Iterator[bytes]:

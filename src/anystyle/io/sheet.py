@@ -1,5 +1,7 @@
 """Contact sheets: images in rows and columns under titles, on white."""
 
+import base64
+import io
 import textwrap
 import zlib
 from collections.abc import Sequence
@@ -35,6 +37,13 @@ def to_pil(image: Float[Tensor, "3 H W"]) -> Image.Image:
     """An sRGB image in [0, 1] as an 8-bit one, rounded to nearest."""
     pixels = image.detach().clamp(0, 1).mul_(255).round_().byte().permute(1, 2, 0).cpu().numpy()
     return Image.fromarray(np.ascontiguousarray(pixels))
+
+
+def data_url(picture: Image.Image, kind: str, **options: int) -> str:
+    """A picture as a ``data:`` URL; ``options`` are Pillow's for the kind of file, such as ``jpeg``."""
+    data = io.BytesIO()
+    picture.convert("RGB").save(data, kind, **options)
+    return f"data:image/{kind};base64,{base64.b64encode(data.getvalue()).decode()}"
 
 
 def contact_sheet(

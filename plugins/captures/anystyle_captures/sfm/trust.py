@@ -76,7 +76,7 @@ def _compare(graph: ViewGraph, best: Sequence[SparseModel]) -> tuple[list[str], 
     difference = agreement(best[1].world_from_camera[common], best[0].world_from_camera[common])
     rotation, position = difference.rotation.max(), difference.position.max()
     measures = {"mappers_rotation_degrees": float(rotation), "mappers_position": float(position)}
-    agreed = difference.within(MAX_ROTATION, MAX_POSITION)
+    agreed = (difference.rotation <= MAX_ROTATION) & (difference.position <= MAX_POSITION)
     if agreed.all():
         return [], views.tolist(), measures
     wrong = common[~agreed]
@@ -169,10 +169,6 @@ class Agreement(NamedTuple):
     rotation: Float64[Array, " V"]
     position: Float64[Array, " V"]
 
-    def within(self, rotation: float, position: float) -> Bool[Array, " V"]:
-        """Which views differ by no more."""
-        return (self.rotation <= rotation) & (self.position <= position)
-
 
 def agreement(first: Float64[Array, "V 4 4"], second: Float64[Array, "V 4 4"]) -> Agreement:
     """Compare the poses that two models give to the same views, at least 2, up to half of which may be anywhere.
@@ -186,8 +182,7 @@ def agreement(first: Float64[Array, "V 4 4"], second: Float64[Array, "V 4 4"]) -
     for _ in range(8):
         moved = similarity_of_cameras(poses[chosen], target[chosen]).poses(poses)
         turn = moved[:, :3, :3].mT @ target[:, :3, :3]
-        cosine = (turn.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
-        rotation = torch.rad2deg(cosine.clamp(-1, 1).acos()).numpy()
+        rotation = np.rad2deg(Rotation.from_matrix(turn.numpy()).magnitude())
         position = (moved[:, :3, 3] - target[:, :3, 3]).norm(dim=1).numpy() / spread
         order = np.argsort(position + rotation / 30, kind="stable")
         closest = np.sort(order[: max(3, (len(first) + 1) // 2)])
