@@ -2,7 +2,7 @@
 
 import difflib
 import importlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 
@@ -41,6 +41,13 @@ def did_you_mean(word: str, words: Iterable[str]) -> str:
     """``Did you mean 'this'?`` with a leading space where a known word is near, else nothing."""
     near = difflib.get_close_matches(word, list(words), n=1, cutoff=0.65)
     return f" Did you mean '{near[0]}'?" if near else ""
+
+
+def check_known(what: str, words: Iterable[str], known: Collection[str]) -> None:
+    """Refuse words that are not among those known; see :func:`unknown`."""
+    for word in words:
+        if word not in known:
+            raise UserError(unknown(what, word, known))
 
 
 def unknown(what: str, word: str, words: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from anystyle.cli.arguments import new_parser, parse
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, check_known
 from anystyle.evaluation.tables import Table, number, titled
 from anystyle.io.atomic import write_json, write_text
 from anystyle.io.documents import Number, as_number, stored_number
@@ -71,9 +71,7 @@ def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:
     """Every score of every two methods."""
     if len(set(methods)) != len(methods) or len(methods) < 2:
         raise UserError("name two methods or more, each once")
-    for method in methods:
-        if method not in figures.methods:
-            raise UserError(unknown("method in these results", method, figures.methods))
+    check_known("method in these results", methods, figures.methods)
     rows = [*figures.cells, *figures.scenes]
     found: list[Compared] = []
     for pair in combinations(methods, 2):

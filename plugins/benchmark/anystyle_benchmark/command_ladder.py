@@ -9,7 +9,7 @@ import torch
 
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.progress import progress_lines
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, check_known
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_directory, write_json, write_text
 from anystyle.io.documents import as_number, kept_json
@@ -56,8 +56,7 @@ def main(args: Sequence[str]) -> None:
     styles = [inputs.style(name) for name in _words(arguments.styles)]
     styles = styles or [style for style in inputs.track.styles if style.guide == "image"]
     names = _words(arguments.distortions) or list(DISTORTIONS)
-    if strange := [name for name in names if name not in DISTORTIONS]:
-        raise UserError(unknown("distortion", strange[0], DISTORTIONS))
+    check_known("distortion", names, DISTORTIONS)
     judge = Judge(inputs, root, _words(arguments.metrics), processes=processes_of(arguments))
     lock, specs = bind(inputs, root), rungs(spec, names, {style.guide for style in styles}, arguments.seeds)
     for one in specs:

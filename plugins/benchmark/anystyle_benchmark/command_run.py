@@ -10,7 +10,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from anystyle.cli.arguments import is_override, new_parser, split
 from anystyle.cli.launch import launch
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, check_known
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json
 from anystyle_benchmark.results import Cell, bind, cells_of, is_done
@@ -38,9 +38,8 @@ def main(args: Sequence[str]) -> None:
     """Run ``anystyle benchmark run``."""
     _, rest = split(parser(), list(args))
     options = [str(key) for key in OmegaConf.load(CONF / "benchmark.yaml") if key not in ("defaults", "hydra")]
-    for key in (word.partition("=")[0] for word in rest if is_override(word)):
-        if key.isidentifier() and key not in options:
-            raise UserError(unknown("option", key, options))
+    keys = (word.partition("=")[0] for word in rest if is_override(word))
+    check_known("option", filter(str.isidentifier, keys), options)
     launch("benchmark", benchmark, rest, CONF)
 
 

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from anystyle.contracts import Metric
 from anystyle.data.images import open_image
-from anystyle.errors import UserError, one_line, unknown
+from anystyle.errors import UserError, check_known, one_line
 from anystyle.evaluation import judge as loop
 from anystyle.evaluation.comparisons import Reader, read
 from anystyle.evaluation.pairing import CAMERAS, StylizedImages
@@ -106,8 +106,7 @@ class Judge:
     def __init__(self, inputs: Inputs, root: Path, chosen: Sequence[str] = (), *, processes: int = 1) -> None:
         self.inputs, self.root, self.processes, track = inputs, root, processes, inputs.track
         named = list(dict.fromkeys(name for guide in GUIDES for name in track.metrics.get(guide, ())))
-        if strange := [name for name in chosen if name not in named]:
-            raise UserError(unknown(f"metric of track {track.name}", strange[0], named))
+        check_known(f"metric of track {track.name}", chosen, named)
         images = [read(inputs.path(style.image)) for style in track.styles if style.image is not None]
         self.metrics = make([name for name in named if name in (chosen or named)], images)
         self.chosen, self._reader = tuple(chosen), Reader()

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from anystyle.data.images import SUFFIXES, image_size
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, check_known, unknown
 from anystyle.examples import resolved
 from anystyle.io.documents import read_toml
 from anystyle.paths import natural
@@ -173,6 +173,5 @@ class Inputs:
 
 def _named(kind: str, name: str, entries: tuple[_Entry, ...]) -> _Entry:
     found = {entry.name: entry for entry in entries}
-    if name not in found:
-        raise UserError(unknown(kind, name, found))
+    check_known(kind, [name], found)
     return found[name]

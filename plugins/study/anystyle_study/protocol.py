@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, check_known
 from anystyle.io.documents import fit, read_json
 from anystyle.ranges import Count, Fraction, Range
 from anystyle_study.contract import Alternative, Scale
@@ -111,9 +111,7 @@ def plan_defaults() -> dict[str, Any]:
 
 def plan_from(options: Mapping[str, Any]) -> Plan:
     """A plan from a configuration's plain values."""
-    for name in options:
-        if name not in Plan.__struct_fields__:
-            raise UserError(unknown("study option", name, Plan.__struct_fields__))
+    check_known("study option", options, Plan.__struct_fields__)
     return fit(dict(options), Plan, source="the study's configuration", what="plan")
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from anystyle.errors import UserError, unknown
+from anystyle.errors import check_known
 from anystyle.io.documents import read_json
 from anystyle.paths import text_of
 
@@ -49,8 +49,7 @@ def resolved(path: Path) -> Path:
     if not str(path).startswith(PREFIX):
         return path
     name, known = str(path).removeprefix(PREFIX), examples()
-    if name not in known:
-        raise UserError(unknown("example", name, known))
+    check_known("example", [name], known)
     return FOLDER / known[name].file
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import EarlyStopping
 
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, check_known
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +35,7 @@ class EarlyStop(EarlyStopping):
     def on_validation_end(self, trainer: Any, pl_module: LightningModule) -> None:
         if trainer.sanity_checking or (trainer.fit_loop.total_batch_idx + 1) % trainer.val_check_batch:
             return
-        if self.monitor not in trainer.callback_metrics:
-            raise UserError(unknown("logged value", self.monitor, trainer.callback_metrics))
+        check_known("logged value", [self.monitor], trainer.callback_metrics)
         super().on_validation_end(trainer, pl_module)
         self.judged(trainer)
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from anystyle.errors import UserError, unknown
+from anystyle.errors import UserError, check_known
 from anystyle.io.documents import read_toml
 from anystyle.registry.packages import packages
 
@@ -56,8 +56,7 @@ def rows_of(path: Path) -> dict[str, WeightsFile]:
 def row(name: str) -> WeightsFile:
     """The row of a name."""
     known = files()
-    if name not in known:
-        raise UserError(unknown("file of weights", name, known))
+    check_known("file of weights", [name], known)
     return known[name]
 
 
