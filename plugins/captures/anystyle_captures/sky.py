@@ -10,6 +10,7 @@ from scipy.ndimage import binary_fill_holes, label
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
+from anystyle.geometry.warp import pixels
 from anystyle.types import Cameras
 from anystyle_captures.stereo import StereoDepth
 from anystyle_captures.stereo_kernels import RADIUS
@@ -92,9 +93,8 @@ def find_sky(images: Float[Tensor, "V 3 H W"], cameras: Cameras, stereo: StereoD
 
 def _rays(cameras: Cameras, view: int) -> Float[Tensor, "P 3"]:
     """Directions in world space of every :data:`STRIDE`-th pixel of every such row."""
-    y, x = (torch.arange(0, side, STRIDE) + 0.5 for side in cameras.size)
-    y, x = torch.meshgrid(y, x, indexing="ij")
-    local = torch.linalg.solve(cameras.intrinsics[0, view], torch.stack([x, y, torch.ones_like(x)]).flatten(1))
+    x, y = pixels(cameras.intrinsics.new_empty(cameras.size))[:, ::STRIDE, ::STRIDE].flatten(1) + 0.5
+    local = torch.linalg.solve(cameras.intrinsics[0, view], torch.stack([x, y, torch.ones_like(x)]))
     return (cameras.world_from_camera[0, view, :3, :3] @ local).T
 
 

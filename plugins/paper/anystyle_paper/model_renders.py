@@ -192,9 +192,9 @@ class ModelRenders(Protocol):
         return style.image, style
 
     def _inputs(self, number: int, count: int) -> Views:
-        """The first views of a scene, as the model sees them."""
+        """The first views of a scene, as the model sees them: squares have neither cameras nor depth."""
         views = self.scenes.read(number, range(count))
-        return middle_square(views) if self.square else views
+        return Views(images=preprocess.middle_square(views.images), names=views.names) if self.square else views
 
     def _num_inputs(self, number: int) -> int:
         """How many views of a scene the model sees."""
@@ -233,8 +233,3 @@ def refuse_other(path: Path, image: Float[Tensor, "3 H W"], variant: Variant, wh
         before, now = (adaptive_avg_pool2d(read(each), 16) for each in (path, made))
     if (before - now).abs().mean() > 0.02:  # other releases of JPEG round otherwise
         raise UserError(f"{what} is no longer that of the renders, {path}; give another --out")
-
-
-def middle_square(views: Views) -> Views:
-    """The middle square of every image; without cameras and depth."""
-    return Views(images=preprocess.middle_square(views.images), names=views.names)

@@ -13,8 +13,8 @@ from anystyle.testing.inputs import images
 from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.types import Style, no_progress
+from anystyle.vision.preprocess import middle_square
 from anystyle_paper.model_renders import ModelRenders as Paper
-from anystyle_paper.model_renders import middle_square
 from tests.support.evaluation_cases import Mean
 
 
@@ -56,7 +56,7 @@ def test_scenes_whose_names_differ_in_a_slash_stay_apart(parts):
 def test_the_reference_truncates_into_jpeg_and_the_corrected_rounds_into_png(parts, tmp_path):
     for variant in ("reference", "corrected"):
         Paper(**parts, num_styles=1, num_scenes=1, frames=1, variant=variant).run(tmp_path / variant, no_progress)
-    photograph = middle_square(parts["scenes"].read(0, [0])).images[0, 0]
+    photograph = middle_square(parts["scenes"].read(0, [0]).images)[0, 0]
     exact = np.asarray(Image.open(tmp_path / "corrected" / "images" / "content" / "wall_0000" / "000.png"))
     assert (exact == (photograph * 255).round().byte().permute(1, 2, 0).numpy()).all()
     written = tmp_path / "reference" / "images" / "content" / "wall_0000" / "000.jpg"
