@@ -38,9 +38,7 @@ def parser() -> argparse.ArgumentParser:
     add = flags.add_argument
     add("results", nargs="?", type=Path, help="the folder that `anystyle benchmark run` filled")
     add("--track", metavar="NAME", help="a track, or a track.toml (default: that of the results)")
-    add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
-    add("--metrics", default="", metavar="A,B", help="only these of the track's metrics")
-    add_processes(flags)
+    add_judging(flags)
     beside = "also show the methods of these judged results (a folder, or figures.json) that the folder lacks"
     add("--beside", type=Path, metavar="RESULTS", help=beside)
     check = "judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png"
@@ -66,8 +64,7 @@ def main(args: Sequence[str]) -> None:
     specs = read_methods(results)
     inputs = inputs_of(results, arguments.track, arguments.root)
     lock = bind(inputs, results)
-    chosen = tuple(filter(None, arguments.metrics.split(",")))
-    judge = Judge(inputs, results, chosen, processes=processes_of(arguments))
+    judge = Judge(inputs, results, words_of(arguments.metrics), processes=processes_of(arguments))
     others = None if arguments.beside is None else read_figures(arguments.beside)
     if others is not None and (reason := differing(lock, judge.infos, others)):
         raise UserError(f"{arguments.beside} cannot be shown beside {results}: {reason}")
@@ -84,10 +81,18 @@ def main(args: Sequence[str]) -> None:
     print(f"{table}\nin {results}: {FIGURES}, table.md, table.csv")
 
 
-def add_processes(flags: argparse.ArgumentParser) -> None:
-    """Give a command the flag of which :func:`processes_of` reads how many processes judge."""
+def add_judging(flags: argparse.ArgumentParser) -> None:
+    """Give a command the flags of a judge; :func:`processes_of` reads how many processes judge."""
+    add = flags.add_argument
     about = "how many processes judge at once (default: one for each core, as far as memory goes)"
-    flags.add_argument("--processes", type=int, metavar="N", help=about)
+    add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
+    add("--metrics", default="", metavar="A,B", help="only these of the track's metrics")
+    add("--processes", type=int, metavar="N", help=about)
+
+
+def words_of(text: str) -> list[str]:
+    """What commas separate."""
+    return list(filter(None, text.split(",")))
 
 
 def processes_of(arguments: argparse.Namespace) -> int:

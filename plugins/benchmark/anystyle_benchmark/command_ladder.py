@@ -15,7 +15,7 @@ from anystyle.io.atomic import atomic_directory, write_json, write_text
 from anystyle.io.documents import as_number, kept_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.types import Cameras, Gaussians, OnProgress, Progress
-from anystyle_benchmark.command_judge import add_processes, processes_of
+from anystyle_benchmark.command_judge import add_judging, processes_of, words_of
 from anystyle_benchmark.distortions import DISTORTIONS, RANDOM, Shot
 from anystyle_benchmark.judge import Judge
 from anystyle_benchmark.ladder import BLIND, LADDER, STEPS, UNDISTORTED, Verdict, judged, rung
@@ -36,12 +36,11 @@ def parser() -> argparse.ArgumentParser:
     add = flags.add_argument
     add("results", type=Path, help="a folder of its own for the rungs, which are kept as methods of a benchmark")
     add("--track", default="open", metavar="NAME", help="a track, or a track.toml (default %(default)s)")
-    add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     add("--method", default="branch", metavar="NAME", help="a preset that leaves a splat (default %(default)s)")
-    for name, what in (("scenes", "all"), ("styles", "all images"), ("distortions", "all"), ("metrics", "all")):
+    for name, what in (("scenes", "all"), ("styles", "all images"), ("distortions", "all")):
         add(f"--{name}", default="", metavar="A,B", help=f"only these (default: {what})")
     add("--seeds", type=int, default=1, metavar="N", help="of random distortions, 0 to N - 1 (default %(default)s)")
-    add_processes(flags)
+    add_judging(flags)
     return flags
 
 
@@ -52,12 +51,12 @@ def main(args: Sequence[str]) -> None:
     spec, _ = read_spec(arguments.method)
     if spec.preset is None:
         raise UserError(f"method {spec.name} is not a preset of anystyle stylize, and leaves no splat to distort")
-    scenes = [inputs.scene(name) for name in _words(arguments.scenes)] or list(inputs.track.scenes)
-    styles = [inputs.style(name) for name in _words(arguments.styles)]
+    scenes = [inputs.scene(name) for name in words_of(arguments.scenes)] or list(inputs.track.scenes)
+    styles = [inputs.style(name) for name in words_of(arguments.styles)]
     styles = styles or [style for style in inputs.track.styles if style.guide == "image"]
-    names = _words(arguments.distortions) or list(DISTORTIONS)
+    names = words_of(arguments.distortions) or list(DISTORTIONS)
     check_known("distortion", names, DISTORTIONS)
-    judge = Judge(inputs, root, _words(arguments.metrics), processes=processes_of(arguments))
+    judge = Judge(inputs, root, words_of(arguments.metrics), processes=processes_of(arguments))
     lock, specs = bind(inputs, root), rungs(spec, names, {style.guide for style in styles}, arguments.seeds)
     for one in specs:
         kept = kept_json(root / one.name / "method.json", Spec)
@@ -153,7 +152,3 @@ def table(verdicts: Sequence[Verdict], figures: Figures, method: Spec) -> Table:
 
 def _told(verdict: Verdict | None) -> str:
     return "–" if verdict is None else f"{number(round(as_number(verdict.ordered.mean), 1))} {verdict.words}"
-
-
-def _words(text: str) -> list[str]:
-    return list(filter(None, text.split(",")))

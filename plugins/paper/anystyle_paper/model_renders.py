@@ -143,6 +143,10 @@ class ModelRenders(Protocol):
     def _encode(self, number: int) -> tuple[Scene, float]:
         """A scene as the model encodes it, and the seconds that took."""
         views = self._inputs(number, self._num_inputs(number))
+        patch, (height, width) = self.stylizer.backbone.patch_size, views.size
+        if height % patch or width % patch:
+            given = f"the views of {self.scenes.name(number)} are {width}x{height} pixels"
+            raise UserError(f"{given}; this model needs sides that are multiples of {patch} (an option of the scenes)")
         views = Views(images=views.images.to(self.stylizer.device), names=views.names)
         start = time.perf_counter()
         scene = self.stylizer.encode(views)
