@@ -135,7 +135,7 @@ def _mask_of(masks: Mapping[Path, Path], path: Path | None, labels: bool) -> Ima
 
 def are_labels(masks: Iterable[Path]) -> bool:
     """Whether no level of any mask reaches 32, so that they are labels; one soft mask may be as dark."""
-    return all(_shown(mask).convert("L").getextrema()[1] < MAX_LABELS for mask in masks)
+    return all(np.asarray(_shown(mask).convert("L")).max() < MAX_LABELS for mask in masks)
 
 
 def _shown(file: Path) -> Image.Image:
@@ -157,7 +157,7 @@ def open_mask(file: Path, photograph: Path | None, *, labels: bool) -> Image.Ima
     mask = shown.convert("L")
     few = np.array([color for _, color in shown.getcolors(256) or [(0, (0, 0, 0))]])
     if labels or np.ptp(few, axis=1).max() >= MAX_LABELS:
-        mask = Image.fromarray(255 * np.asarray(shown).any(2).astype(np.uint8))
+        mask = Image.fromarray(np.asarray(shown).any(2)).convert("L")
     with opened(file) as image:
         most = np.asarray(image).max() if image.mode.startswith("I;16") else 0
         if 0 < most <= 65535 // 2:
