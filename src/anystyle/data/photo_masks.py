@@ -157,7 +157,7 @@ def open_mask(file: Path, photograph: Path | None, *, labels: bool) -> Image.Ima
     mask = shown.convert("L")
     few = np.array([color for _, color in shown.getcolors(256) or [(0, (0, 0, 0))]])
     if labels or np.ptp(few, axis=1).max() >= MAX_LABELS:
-        mask = Image.fromarray(np.asarray(shown).any(2)).convert("L")
+        mask = Image.fromarray(np.asarray(shown).max(2) > 0).convert("L")
     with opened(file) as image:
         most = np.asarray(image).max() if image.mode.startswith("I;16") else 0
         if 0 < most <= 65535 // 2:
