@@ -28,8 +28,7 @@ def test_a_record_survives_json_and_finds_a_mistake():
     given = smooth_image(3, (2, 3, 14, 21)).unflatten(-1, (-1, 3)).flatten(-2)[..., :6]
     stored = json.loads(json.dumps(record(network()(given))))
     assert_matches(network()(given), stored)
-    wrong = (network(eps=1e-3)(given), network()(given).flip(-1), network()(given)[:1])
-    for result in wrong:
+    for result in (network(eps=1e-3)(given), network()(given).flip(-1), network()(given)[:1]):
         with pytest.raises(AssertionError):
             assert_matches(result, stored)
 

@@ -49,8 +49,7 @@ def test_sides_are_multiples_and_points_map_back_to_the_source(tmp_path, width, 
     views, (source,) = read(tmp_path / "a.png")
     h, w = views.size
     assert h % 8 == 0 and w % 8 == 0 and min(h, w) == 32 and max(h, w) <= 96
-    pixel_from_camera = torch.tensor([[40.0, 0, w / 2], [0, 40, h / 2], [0, 0, 1]])
-    mapped = source.source_intrinsics(pixel_from_camera)
+    mapped = source.source_intrinsics(torch.tensor([[40.0, 0, w / 2], [0, 40, h / 2], [0, 0, 1]]))
     assert mapped[0, 2].item() == pytest.approx(width / 2) and mapped[1, 2].item() == pytest.approx(height / 2)
     assert mapped[0, 0].item() == pytest.approx(mapped[1, 1].item())
     if width > 20:

@@ -65,8 +65,7 @@ def test_alpha_channels_of_all_kinds(tmp_path, mode):
         picture.quantize(4).save(tmp_path / "a.png")
     else:
         picture.convert("LA" if mode == "PA" else mode).save(tmp_path / ("a.tif" if mode == "PA" else "a.png"))
-    file = next(tmp_path.iterdir())
-    np.testing.assert_array_equal(np.asarray(open_alpha(file)), left_half())
+    np.testing.assert_array_equal(np.asarray(open_alpha(next(tmp_path.iterdir()))), left_half())
 
 
 def test_an_opaque_alpha_channel_is_no_mask(tmp_path):

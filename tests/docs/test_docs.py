@@ -194,7 +194,6 @@ def _compose(command, module, words):
         if command == "evaluate":
             given = (getattr(arguments, name) for name in ("content", "style", "stylized", "depth", "layout"))
             overrides = [*(Images.WORDS if Images.of(*given) is not None else ()), *overrides]
-    parsed = OverridesParser.create().parse_overrides(overrides)
     choices = [
         [
             f"{item.get_key_element()}={value}"
@@ -202,7 +201,7 @@ def _compose(command, module, words):
         ]
         if item.is_sweep_override()
         else [word]
-        for word, item in zip(overrides, parsed, strict=True)
+        for word, item in zip(overrides, OverridesParser.create().parse_overrides(overrides), strict=True)
     ]
     named = ["name=x", "out=x"] if command == "train" else []
     # Every value of a sweep once: the first of all, the second of all, and the last of those that have fewer.

@@ -89,6 +89,5 @@ def test_what_is_hidden_counts_for_nothing():
 def test_a_point_just_inside_the_corner_of_a_picture_is_in_its_last_cell():
     """Of 378 rows and 504 columns, the largest numbers below these are rounded up as they are divided into cells."""
     camera = Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (378, 504))
-    corner = torch.tensor([504.0, 378.0]).nextafter(torch.zeros(2))
-    point = torch.cat([corner, torch.ones(1)])[None]
+    point = torch.cat([torch.tensor([504.0, 378.0]).nextafter(torch.zeros(2)), torch.ones(1)])[None]
     assert (ViewConfidence(point, torch.zeros(1, 1, 3), LEAST)(camera) == 0).all()

@@ -72,8 +72,7 @@ def _expected(cls, injector, tokens, style):
         keys, values = linear("key", coded), linear("value", coded)
         attended = []
         for head in np.split(np.arange(query.size), injector.heads):
-            weight = softmax(keys[:, head] @ query[head] / math.sqrt(head.size))
-            attended.append(weight @ values[:, head])
+            attended.append(softmax(keys[:, head] @ query[head] / math.sqrt(head.size)) @ values[:, head])
         return x + linear("zero_proj", np.concatenate(attended))
 
     formula = {FiLM: film, AdaLN: ada_ln, LoRA: lora, CrossAttention: cross_attention}[cls]

@@ -10,8 +10,7 @@ from anystyle.io import colmap
 
 
 def model():
-    turn = Rotation.from_euler("xyz", [0.2, -0.4, 0.7]).as_quat()
-    x, y, z, w = (float(value) for value in turn)
+    x, y, z, w = (float(value) for value in Rotation.from_euler("xyz", [0.2, -0.4, 0.7]).as_quat())
     return colmap.Model(
         cameras={1: colmap.Camera("PINHOLE", (48, 64), (50.0, 51.0, 32.5, 23.5))},
         photographs={

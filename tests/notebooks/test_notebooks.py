@@ -50,8 +50,7 @@ def test_notebook_is_written_to_be_read(name):
     assert cells[0].cell_type == "markdown"
     assert re.match(r"# \S", cells[0].source)
     code = [cell.source for cell in cells if cell.cell_type == "code"]
-    prose = [cell for cell in cells if cell.cell_type == "markdown"]
-    assert len(prose) >= 0.5 * len(code)
+    assert len([cell for cell in cells if cell.cell_type == "markdown"]) >= 0.5 * len(code)
     for source in code:
         assert len(source.splitlines()) <= 40, source
         ast.parse(re.sub(r"^# !.*$|^!.*$", "pass", source, flags=re.MULTILINE))

@@ -71,8 +71,7 @@ def test_cameras_in_the_axes_of_a_file_are_turned_with_it(tmp_path, caplog):
 def run(tmp_path):
     """A run's folder of the first trainer of 3DGS."""
     _, cameras, _ = photographed_wall(3)
-    few = wall().map(lambda tensor: tensor[:, :200])
-    for number, gaussians in ((7000, few), (30000, wall())):
+    for number, gaussians in ((7000, wall().map(lambda tensor: tensor[:, :200])), (30000, wall())):
         path = tmp_path / "run" / "point_cloud" / f"iteration_{number}" / "point_cloud.ply"
         path.parent.mkdir(parents=True)
         gaussians.save(path)

@@ -40,11 +40,10 @@ def sphere(number, color=torch.zeros_like):
     turn = torch.arange(number) * math.pi * (3 - math.sqrt(5))
     flat = (1 - height.square()).sqrt()
     means = torch.stack([flat * turn.cos(), height, flat * turn.sin()], dim=1)
-    size = 0.6 * math.sqrt(4 * math.pi / number)
     return Gaussians(
         means[None],
         torch.tensor([[1.0, 0, 0, 0]]).expand(1, number, 4),
-        torch.full((1, number, 3), size),
+        torch.full((1, number, 3), 0.6 * math.sqrt(4 * math.pi / number)),
         torch.full((1, number), 0.95),
         constant_from_rgb(color(means))[None, :, None],
     )
@@ -73,8 +72,7 @@ def test_an_orbit_looks_at_the_center_from_a_constant_radius():
     eyes = center + 2 * (turn.cos() * ahead + turn.sin() * torch.linalg.cross(up, ahead)) + 1.5 * up
     seen = cameras(look_at(eyes, center.expand_as(eyes), up))
     path = orbit(sphere(200), seen, 40).world_from_camera[0].double()
-    focus = (path[:, :3, 3] + 2.5 * path[:, :3, 2]).mean(0)
-    torch.testing.assert_close(focus, center, atol=0.1, rtol=0)
+    torch.testing.assert_close((path[:, :3, 3] + 2.5 * path[:, :3, 2]).mean(0), center, atol=0.1, rtol=0)
     assert float(F.normalize(-path[:, :3, 1].mean(0), dim=0) @ up) > math.cos(math.radians(1))
     offsets = path[:, :3, 3] - center
     for constant in (offsets.norm(dim=1), offsets @ up):

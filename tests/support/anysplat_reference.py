@@ -63,8 +63,7 @@ def check_scene(backbone: Backbone, scene: Scene, record: Mapping[str, Any]) -> 
     cameras = scene.cameras
     close(cameras.world_from_camera, record["c2w"])
     height, width = cameras.size
-    normalised = cameras.intrinsics / torch.tensor([width, height, 1.0])[:, None]
-    close(normalised, record["K_normalised"])
+    close(cameras.intrinsics / torch.tensor([width, height, 1.0])[:, None], record["K_normalised"])
     check(scene.geometry.depth, record["depth"])
     check(scene.geometry.confidence, record["depth_conf"])
     points = scene.geometry.points(pixel_center=0.0)

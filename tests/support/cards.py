@@ -50,8 +50,7 @@ class World:
             hit = (depth > 0.05) & (depth < nearest) & (abs(u) < 1) & (abs(v) < 1)
             rows = ((v[hit] + 1) / 2 * len(paint)).astype(int), ((u[hit] + 1) / 2 * len(paint)).astype(int)
             color[hit], nearest[hit] = paint[rows], depth[hit]
-        mean = color.reshape(height, SAMPLES, width, SAMPLES, 3).mean((1, 3))
-        return (mean * 255).round().astype(np.uint8)
+        return (color.reshape(height, SAMPLES, width, SAMPLES, 3).mean((1, 3)) * 255).round().astype(np.uint8)
 
 
 def arc(num_views, degrees, distance=3.0):

@@ -45,8 +45,7 @@ def _write(folder: Path, name: str, state: dict[str, Tensor]) -> None:
 
 def eight_bit_pictures(seed: int, height: int, width: int, power: float) -> Tensor:
     """``gen(seed, height, width, power)`` of the goldens, as whole numbers of 0 to 255."""
-    around = [7 * -(-side // 7) for side in (height, width)]
-    image = smooth_image(seed, [1, 3, *around])[0].numpy()
+    image = smooth_image(seed, [1, 3, *[7 * -(-side // 7) for side in (height, width)]])[0].numpy()
     values = np.floor(255.0 * image.astype(np.float32) ** power + 0.5).astype(np.uint8)
     return torch.from_numpy(values[:, :height, :width].astype(np.float32))
 
@@ -59,8 +58,7 @@ def six_pairs() -> list[tuple[Tensor, Tensor, Tensor]]:
         content = eight_bit_pictures(base + 100 + 4 * k, *size, 1)
         style = eight_bit_pictures(base + 200 + 4 * k, *other, 1.6 if k % 2 == 0 else 0.7)
         second = eight_bit_pictures(base + 300 + 4 * k, *size, 1.3)
-        stylized = (0.5 * content + 0.5 * second).floor()
-        found.append((content / 255, stylized / 255, style / 255))
+        found.append((content / 255, (0.5 * content + 0.5 * second).floor() / 255, style / 255))
     return found
 
 

@@ -454,8 +454,7 @@ def spzs() -> Iterator[Case]:
             rotations = xyz.astype("u1").tobytes()
         else:
             largest, size, sign = (draw.integers(0, *ends) for ends in ((4, COUNT), (460, (COUNT, 3)), (2, (COUNT, 3))))
-            others = size / 511 / np.sqrt(2) * (1 - 2 * sign)
-            turns = smallest_three(largest, others)[:, [3, 0, 1, 2]]
+            turns = smallest_three(largest, size / 511 / np.sqrt(2) * (1 - 2 * sign))[:, [3, 0, 1, 2]]
             fields = size | sign << 9
             rotations = (largest << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]).astype("<u4").tobytes()
         alphas, colors, sizes, more = (part.astype("u1").tobytes() for part in (alpha, color, scale, rest))

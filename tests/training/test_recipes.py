@@ -114,8 +114,7 @@ def test_the_recipes_differ_in_nothing_else():
     paper, published = (
         leaves(OmegaConf.to_container(recipe(name), resolve=False, enum_to_str=True)) for name in ("paper", "published")
     )
-    changed = {key for key in {*paper, *published} if paper.get(key) != published.get(key)}
-    assert changed == set(DIFFERENCES)
+    assert {key for key in {*paper, *published} if paper.get(key) != published.get(key)} == set(DIFFERENCES)
 
 
 def test_the_unstyled_render_may_stand_for_the_photograph():

@@ -114,8 +114,7 @@ class TestScratch:
             optimizer.zero_grad()
             intrinsics = scene.cameras.intrinsics / 50
             parts = [scene.geometry.depth, scene.geometry.confidence, intrinsics, *vars(gaussians).values()]
-            loss = sum((part * hashed(index, part.shape, -1, 1)).sum() for index, part in enumerate(parts))
-            loss.backward()
+            sum((part * hashed(index, part.shape, -1, 1)).sum() for index, part in enumerate(parts)).backward()
             optimizer.step()
         assert [n for n, p in backbone.named_parameters() if p.grad is None or not p.grad.any()] == []
 

@@ -25,8 +25,7 @@ gaussian_channels=[16,16,16,16] gaussian_hidden=8
 def test_a_block_is_few_kernels() -> None:
     """Four products, three norms, attention, GELU, two residuals, and three for the rotation."""
     block, tokens = Block(32, 2, mlp_ratio=4.0, layer_scale=0.1, qk_norm=True), torch.randn(2, 7, 32)
-    angles = rotary(grid_positions((2, 3), 1), 16, base=100.0, like=tokens)
-    (folded,) = with_norms([block], angles)
+    (folded,) = with_norms([block], rotary(grid_positions((2, 3), 1), 16, base=100.0, like=tokens))
     with Kernels() as kernels:
         block(tokens, folded)
     assert kernels.count == 4 + 3 + 1 + 1 + 2 + 3

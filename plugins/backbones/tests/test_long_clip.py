@@ -133,8 +133,7 @@ def test_weights_of_clip_load_without_what_no_embedding_needs() -> None:
 
 def test_long_clip_uses_its_second_table_from_position_20_on() -> None:
     source, target = small_clip(248), small_clip(248)
-    second = torch.full_like(source.positional_embedding, 7.0)
-    load_clip(target, source.state_dict() | {STRETCHED: second})
+    load_clip(target, source.state_dict() | {STRETCHED: torch.full_like(source.positional_embedding, 7.0)})
     assert torch.equal(target.positional_embedding[:20], source.positional_embedding[:20])
     assert (target.positional_embedding[20:] == 7).all()
 

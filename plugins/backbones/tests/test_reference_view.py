@@ -32,8 +32,7 @@ def test_the_balanced_one_is_in_the_middle_of_every_range():
     angle = torch.tensor([0.0, 0.4, 0.9])
     tokens = torch.stack([angle.cos(), angle.sin(), torch.zeros(3)], dim=-1) * torch.tensor([[1.0], [1.5], [2.0]])
     unit = F.normalize(tokens, dim=-1)
-    similar = ((unit @ unit.mT).sum(-1) - 1) / 2
-    figures = [similar, tokens.norm(dim=-1), unit.var(dim=-1)]
+    figures = [((unit @ unit.mT).sum(-1) - 1) / 2, tokens.norm(dim=-1), unit.var(dim=-1)]
     scores = sum(((f - f.min()) / (f.max() - f.min() + 1e-8) - 0.5).abs() for f in figures)
     expected = int(torch.as_tensor(scores).argmin())
     assert reference_view(IMAGES[:1, :3], tokens[None], "saddle_balanced").tolist() == [expected]

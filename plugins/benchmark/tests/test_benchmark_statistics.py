@@ -64,8 +64,7 @@ def test_seeds_are_averaged_and_both_methods_lie_in_one_table():
         return CellFigures(method, seed, scene, style, "image", "done", figures=figures)
 
     ours = [cell("a", seed, "s", "x", f=float(seed), g=1.0) for seed in range(3)] + [cell("a", 0, "s", "y", f=7.0)]
-    theirs = [cell("b", 0, "t", "x", f=2.0), cell("b", 0, "s", "y", f=None)]
-    first, second = arranged("f", ours, theirs)
+    first, second = arranged("f", ours, [cell("b", 0, "t", "x", f=2.0), cell("b", 0, "s", "y", f=None)])
     np.testing.assert_array_equal(first, [[1, 7], [np.nan, np.nan]])
     np.testing.assert_array_equal(second, [[np.nan, np.nan], [2, np.nan]])
     assert difference(first, second).n == 0

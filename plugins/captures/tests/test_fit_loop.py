@@ -92,8 +92,7 @@ def test_exposure_is_told_apart_from_color(photographs):
     result = fit((dimmed, cameras, depth), options, heldout=()).run()
     assert result.train_psnr > plain.train_psnr + 1
     # A gain and a bias can stand in for one another: what they do to the mean colour is compared.
-    mean = images.mean((0, 2, 3))
-    ratio = (result.gains * mean + result.biases).mean(1) / gains
+    ratio = (result.gains * images.mean((0, 2, 3)) + result.biases).mean(1) / gains
     assert float(ratio.std() / ratio.mean()) < 0.05
     assert torch.all(plain.gains == 1)
 

@@ -15,8 +15,7 @@ def pair(height=40, width=33, batch=2):
 
 
 def plain_blur(planes):
-    steps = torch.arange(-5, 6, dtype=planes.dtype)
-    kernel = (-0.5 * (steps / 1.5).square()).exp()
+    kernel = (-0.5 * (torch.arange(-5, 6, dtype=planes.dtype) / 1.5).square()).exp()
     kernel = (kernel / kernel.sum())[:, None] * (kernel / kernel.sum())
     return conv2d(planes[:, None], kernel[None, None], padding=5)[:, 0]
 

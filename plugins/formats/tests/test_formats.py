@@ -121,8 +121,7 @@ def test_a_codebook_is_no_worse_than_quantiles_and_even_steps():
     levels, index = codebook(values)
     error = np.square(levels[index] - values).mean()
     quantiles = np.quantile(values, (np.arange(256) + 0.5) / 256)
-    steps = np.linspace(values.min(), values.max(), 256)
-    for other in (quantiles, steps):
+    for other in (quantiles, np.linspace(values.min(), values.max(), 256)):
         assert error < np.square(other[np.abs(other - values[:, None]).argmin(1)] - values).mean()
     few, chosen = codebook(np.array([1.0, 2.0, 2.0]))
     np.testing.assert_allclose(few[chosen], [1, 2, 2])
@@ -137,8 +136,7 @@ def test_no_level_is_idle_beside_flat_discs():
 def test_a_page_keeps_small_sizes_beside_a_huge_one():
     sizes = torch.full((1, 50, 3), exp(-7.0))
     sizes[0, 0] = exp(9.0)
-    columns = replace(scene(1, 50), scales=sizes)
-    blob, packing, _ = _packed([StyledScene((("", columns),)).splats()])
+    blob, packing, _ = _packed([StyledScene((("", replace(scene(1, 50), scales=sizes)),)).splats()])
     held = np.array(packing["scales"])[np.frombuffer(blob, np.uint8, 150, 50 * (4 + 6))]
     np.testing.assert_allclose(np.sort(held), [-7.0] * 147 + [9.0] * 3, atol=1e-4)
 
@@ -178,8 +176,7 @@ def test_comments_of_other_programs_are_no_rights(tmp_path):
 def test_a_palette_stands_for_more_vectors_than_it_has(monkeypatch):
     monkeypatch.setattr("anystyle_formats.sog.PALETTE", 64)
     generator = np.random.default_rng(0)
-    kinds = generator.standard_normal((16, 9))
-    vectors = kinds[generator.integers(0, 16, 500)]
+    vectors = generator.standard_normal((16, 9))[generator.integers(0, 16, 500)]
     centroids, labels = palette(vectors)
     assert len(centroids) == 64
     np.testing.assert_allclose(centroids[labels], vectors, atol=1e-12)

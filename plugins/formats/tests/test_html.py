@@ -28,8 +28,7 @@ def cameras():
     poses = torch.eye(4).repeat(1, 2, 1, 1)
     poses[0, 1, :3, :3] = matrix_from_vector(torch.tensor([0.0, 0.25, 0.0]))
     poses[0, 1, :3, 3] = torch.tensor([-0.8, -0.2, 0.1])
-    intrinsics = torch.tensor([[85.0, 0, 48], [0, 82.5, 39], [0, 0, 1]]).repeat(1, 2, 1, 1)
-    return Cameras(poses, intrinsics, SIZE)
+    return Cameras(poses, torch.tensor([[85.0, 0, 48], [0, 82.5, 39], [0, 0, 1]]).repeat(1, 2, 1, 1), SIZE)
 
 
 def blue(gaussians):

@@ -93,8 +93,7 @@ def test_colours_are_matched_after():
     result = run(chosen)
     with torch.no_grad():
         renders = stylizer().render(result, scene().cameras).color[0]
-    style = painting().image
-    torch.testing.assert_close(renders.mean((0, 2, 3)), style.mean((0, 2, 3)), rtol=0, atol=0.06)
+    torch.testing.assert_close(renders.mean((0, 2, 3)), painting().image.mean((0, 2, 3)), rtol=0, atol=0.06)
 
 
 @pytest.mark.parametrize(

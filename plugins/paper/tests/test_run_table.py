@@ -114,8 +114,7 @@ def test_the_points_and_signs_of_a_column_of_latex_stand_below_each_other():
     cells = ["12.17 ± 5.7", "233 ± 144.25", "0.9 (1st)", "-3.5", "–", "2.15e-05"]
     text = latex.aligned(Table(("variant", "art_fid ↓"), tuple((f"a & {cell}", cell) for cell in cells)))
     assert text.splitlines()[0].startswith("% Needs \\usepackage{booktabs}") and "{lr}" in text
-    found = [line.split(" & ", 1)[1] for line in text.splitlines() if line.startswith("a \\& ")]
-    assert found == [
+    assert [line.split(" & ", 1)[1] for line in text.splitlines() if line.startswith("a \\& ")] == [
         r"12.17 $\pm$ \phantom{00}5.7\phantom{0} \\",
         r"233\phantom{.00} $\pm$ 144.25 \\",
         r"\textbf{0.9}\phantom{0}\phantom{ $\pm$ 000.00} \\",
@@ -132,8 +131,7 @@ def test_scores_of_stand_ins_are_rows_of_their_own(tmp_path):
         ("computed here", ["psnr"]), (STAND_IN, ["art_fid"])
     ]  # fmt: skip
     lines += report.published_lines(published.load())[0]
-    made = report.table(lines, report.columns_of(lines, ["art_fid", "psnr"], ["", "Train"]), {})
-    for row in made.rows:
+    for row in report.table(lines, report.columns_of(lines, ["art_fid", "psnr"], ["", "Train"]), {}).rows:
         kinds = {"300": STAND_IN, "20": "computed here", "27.74": "published [1]"}
         assert all(row[1] == said for value, said in kinds.items() if value in row[2:])
 

@@ -34,8 +34,7 @@ def run(*arguments):
 @pytest.fixture(scope="module")
 def analysis(tmp_path_factory):
     rows = answer_rows(people=12, items=6, questions=("style", "content", "overall"))
-    path = write_csv(tmp_path_factory.mktemp("answers") / "r.csv", rows)
-    return analyze(read_responses([path]), TESTS)
+    return analyze(read_responses([write_csv(tmp_path_factory.mktemp("answers") / "r.csv", rows)]), TESTS)
 
 
 def test_every_test_is_run_at_every_unit(analysis):
@@ -93,8 +92,7 @@ def test_the_report_says_what_response_level_tests_do(analysis):
 
 
 def test_nothing_reassures_about_participants_who_are_too_few(tmp_path):
-    rows = answer_rows(people=4, items=10)
-    few = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), PLAIN)
+    few = analyze(read_responses([write_csv(tmp_path / "r.csv", answer_rows(people=4, items=10))]), PLAIN)
     assert "too few to show how much people differ" in response_level(few)
 
 

@@ -51,8 +51,7 @@ def test_power_of_the_participant_t_test_is_the_noncentral_t():
     tests = {"one_sample_t": OneSampleT(alternative="less")}
     found = rates_of(scenario, tests, studies=1500, seed=3)["one_sample_t", "participant"]
     sd = math.sqrt(25 + (16 + 1 / 12) / 10)
-    power = stats.nct.cdf(stats.t.ppf(0.05, 15), 15, -3 / sd * 4)
-    assert found == pytest.approx(power, abs=0.04)
+    assert found == pytest.approx(stats.nct.cdf(stats.t.ppf(0.05, 15), 15, -3 / sd * 4), abs=0.04)
 
 
 def test_simulated_studies_are_symmetric_without_an_effect_and_repeatable():
@@ -109,8 +108,7 @@ def test_power_of_nothing_is_refused(scenario, options, told):
 
 
 def test_simulated_studies_have_the_design_of_a_drawn_one():
-    scenario = Scenario(participants=12, items=6, pool=18, scenes=6, styles=4)
-    (one,) = simulate(scenario, 1, seed=0)
+    (one,) = simulate(Scenario(participants=12, items=6, pool=18, scenes=6, styles=4), 1, seed=0)
     assert (np.bincount(one.participants) == 6).all()
     assert np.ptp(np.bincount(one.items)) <= 2  # both of a pair of participants judge the same sets
     assert one.populations == ("participants", "scenes", "styles")

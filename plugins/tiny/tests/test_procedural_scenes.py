@@ -171,8 +171,7 @@ def test_size_does_not_change_the_scene():
     small, wide = ProceduralScenes(size=32).read(2, [0, 5]), ProceduralScenes(size=64, width=96).read(2, [0, 5])
     assert wide.images.shape[-2:] == (64, 96)
     assert torch.equal(small.cameras.world_from_camera, wide.cameras.world_from_camera)
-    middle = wide.images[..., 16:80]
-    reduced = torch.nn.functional.avg_pool2d(middle.flatten(0, 1), 2).unflatten(0, (1, 2))
+    reduced = torch.nn.functional.avg_pool2d(wide.images[..., 16:80].flatten(0, 1), 2).unflatten(0, (1, 2))
     assert (reduced - small.images).abs().median() < 0.02
     focal = 2 * small.cameras.intrinsics[0, 0, 0, 0].item()
     expected = torch.tensor([[focal, 0, 48], [0, focal, 32], [0, 0, 1]])

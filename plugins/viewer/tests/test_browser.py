@@ -248,7 +248,6 @@ def test_a_download_holds_what_is_shown(name, viewer, page, tmp_path):
     download.value.save_as(file := tmp_path / f"scene.{name}")
     if name == "html":
         text = file.read_text(encoding="utf-8")
-        titles = re.findall(r'"title":\s*"(.*?)"', text)
-        assert {"unstyled", "red dots"} <= set(titles) and "Apache-2.0" in text
+        assert {"unstyled", "red dots"} <= set(re.findall(r'"title":\s*"(.*?)"', text)) and "Apache-2.0" in text
     else:
         assert psnr(expected(Gaussians.load(file)), expected(viewer.session.gaussians)) > 60

@@ -102,8 +102,7 @@ def check_style(parts: Parts, scene: Scene, pictures: Tensor, record: Mapping[st
     """A style in the pixels' range as it is given."""
     backbone, branch, encoder = parts
     assert isinstance(branch.aggregator, TokenStylizer)
-    modules = {"encoder": encoder.encoder.blocks[0], "block": branch.aggregator.blocks[0]}
-    with watched(modules) as seen:
+    with watched({"encoder": encoder.encoder.blocks[0], "block": branch.aggregator.blocks[0]}) as seen:
         tokens = encoder.embed_tokens(pictures)
         vector = encoder.embed_images(pictures)
         attributes = branch(scene, StyleEmbedding(vector, vector, tokens=tokens))

@@ -35,8 +35,7 @@ def test_names_are_the_published_ones(network: str) -> None:
     lines = "\n".join(f"{name} {'x'.join(map(str, shape))}" for name, shape in sorted(shapes.items()))
     assert hashlib.sha256(lines.encode()).hexdigest() == record["keys_sha256"]
     with torch.device("meta"):
-        options = reference.TINY if network == "tiny" else {}
-        own = Styl3r(**options).state_dict()
+        own = Styl3r(**reference.TINY if network == "tiny" else {}).state_dict()
     names = keys.published_names(own)
     aliases = {name for name in shapes if renamed(name, keys.SECOND) != name}
     unused = {name for name in shapes if keys.UNUSED.search(name)}

@@ -167,8 +167,7 @@ class TestCamerasOfPoints:
     def test_the_field_of_view_has_bounds(self) -> None:
         centred = hashed(3, (50, 2), -20, 20).double()
         points = torch.cat([centred, torch.full((50, 1), 1e6)], dim=1)[None].double()
-        focal = focal_of(points, centred, 40)
-        assert focal.item() == pytest.approx(20 / math.tan(math.radians(5)))
+        assert focal_of(points, centred, 40).item() == pytest.approx(20 / math.tan(math.radians(5)))
 
     def test_points_are_exponential_in_their_distance(self) -> None:
         found = points_of(torch.tensor([[0.0, 0, 0], [3.0, 0, 4.0], [0, -1e-4, 0]]))

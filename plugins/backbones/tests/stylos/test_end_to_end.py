@@ -107,8 +107,7 @@ def check_colors(scene: Scene, gaussians: Gaussians, records: Sequence[Mapping[s
         assert len(colors) == record.get("n_voxels", len(colors))
         anysplat_reference.check_moments(colors, record["harmonics_dc"])
         samples = record.get("samples", ())
-        voxels = [sample["voxel"] for sample in samples]
-        rows = anysplat_reference.rows_of(scene, batch, voxels, voxel_size)
+        rows = anysplat_reference.rows_of(scene, batch, [sample["voxel"] for sample in samples], voxel_size)
         for row, sample in zip(rows, samples, strict=True):
             expected = torch.tensor(sample["dc"])
             torch.testing.assert_close(gaussians.harmonics[batch, row, 0], expected, rtol=1e-3, atol=2e-4)

@@ -37,12 +37,11 @@ def result() -> Stylization:
     geometry = replace(made.scene.geometry, depth=points[..., 2], confidence=confidence.exp(), pointmap=points)
     height, width = confidence.shape[2:]
     cut = made.scene.attributes.map(lambda tensor: tensor[:, :, :height, :width])
-    attributes = replace(cut, confidence=confidence)
     return replace(
         made,
         views=Views(photographs),
         style=Style(image=given("style")[:, 0]),
-        scene=replace(made.scene, geometry=geometry, attributes=attributes),
+        scene=replace(made.scene, geometry=geometry, attributes=replace(cut, confidence=confidence)),
         renders=Renders(given("rendered"), points[..., 2], torch.ones_like(confidence)),
     )
 
