@@ -60,7 +60,7 @@ def test_files_that_are_not_the_checkpoint(words, checkpoint, tmp_path, capsys):
     (tmp_path / "half.ckpt").write_bytes(checkpoint.read_bytes()[:20000])
     for name, told in (
         ("other.safetensors", "not AnySplat's or AnyStyle's (visual.proj)"),
-        ("half.ckpt", "is truncated or no file of weights"),
+        ("half.ckpt", "is not a valid file of weights"),
     ):
         assert told in refused(capsys, words, *(f"weights.{part}={tmp_path / name}" for part in ("backbone", "branch")))
 

@@ -108,9 +108,9 @@ def script(path: Path):
 
 BAD = [
     (evil, "bad.ckpt", r"bad\.ckpt holds code or objects of other programs \(builtins\.print\)"),
-    (truncated, "bad.pt", "is truncated or no file of weights"),
-    (truncated_safetensors, "bad.safetensors", "is truncated or no file of weights"),
-    (lambda path: path.write_bytes(b"\xff" * 64), "endless.safetensors", "is truncated or no file of weights"),
+    (truncated, "bad.pt", "is not a valid file of weights"),
+    (truncated_safetensors, "bad.safetensors", "is not a valid file of weights"),
+    (lambda path: path.write_bytes(b"\xff" * 64), "endless.safetensors", "is not a valid file of weights"),
     (lambda path: torch.save({"state_dict": {"a": 3}}, path), "number.pt", "holds no plain state dict"),
     (script, "clip.pt", "TorchScript program; get the state dict"),
 ]

@@ -100,7 +100,7 @@ def test_files_that_are_not_ours_are_refused(tmp_path):
     data = (tmp_path / "whole.safetensors").read_bytes()
     (tmp_path / "half.safetensors").write_bytes(data[: len(data) // 2])
     save_file({"a": torch.zeros(1)}, tmp_path / "plain.safetensors")
-    told = {"half": "truncated or no safetensors", "plain": "not a safetensors file that anystyle wrote"}
+    told = {"half": "not a valid safetensors file; get it again", "plain": "not a safetensors file that anystyle wrote"}
     told |= {"absent": "there is no weights file", "whole": "weights of a backbone, but those of a branch"}
     for name, words in told.items():
         with pytest.raises(ValueError, match=words):

@@ -55,7 +55,7 @@ def test_extremes_stay_finite_and_padding_is_left_out(tmp_path):
 
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "text.ply").write_text("no ply")
-    with pytest.raises(ValueError, match="is not a PLY file of Gaussians"):
+    with pytest.raises(ValueError, match="is not a valid PLY file of Gaussians"):
         Gaussians.load(tmp_path / "text.ply")
     header = "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n"
     (tmp_path / "vast.ply").write_text(header)

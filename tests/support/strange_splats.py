@@ -363,7 +363,7 @@ def refused_plys() -> Iterator[Case]:
     points = {axis: columns(0)[axis] for axis in "xyz"} | dict.fromkeys(colors, np.zeros(COUNT))
     yield "a point cloud.ply", lambda: Strange(ply(points, kinds=dict.fromkeys(colors, "u1")), "without the properties")
     yield "no rows.ply", lambda: Strange(ply(columns(1, 0)), "it is empty")
-    yield "cut.ply", lambda: Strange(ply(columns(1))[:-7], "is not a PLY file of Gaussians")
+    yield "cut.ply", lambda: Strange(ply(columns(1))[:-7], "is not a valid PLY file of Gaussians")
     ten = {f"f_rest_{index}": np.zeros(COUNT) for index in range(10)}
     yield "10 harmonics.ply", lambda: Strange(ply(columns(0) | ten), "10")
 

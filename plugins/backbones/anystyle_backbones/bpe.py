@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from anystyle.errors import UserError
+from anystyle.io.documents import parsing
 
 SUFFIXES = ("'s", "'t", "'re", "'ve", "'m", "'ll", "'d")
 END = "</w>"
@@ -53,11 +54,9 @@ def load(path: Path, size: int) -> Tokenizer:
     The file has a comment, then one pair of symbols a line.
     """
     num_merges = size - 2 * 256 - 2
-    try:
+    with parsing(path, "vocabulary of CLIP; get it again"):
         content = path.read_bytes()
         text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8")
-    except (OSError, EOFError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not a vocabulary of CLIP ({error}); get it again") from None
     merges = [tuple(line.split()) for line in text.split("\n")[1 : num_merges + 1]]
     if len(merges) < num_merges or any(len(pair) != 2 for pair in merges):
         raise UserError(f"{path} holds no {num_merges} pairs of symbols; get CLIP's vocabulary again")

@@ -76,7 +76,7 @@ def test_a_vocabulary_that_is_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"short\.txt holds no 48894 pairs"):
         bpe.load(tmp_path / "short.txt", 49408)
     (tmp_path / "cut.txt.gz").write_bytes(gzip.compress(b"#version\na b\n")[:10])
-    with pytest.raises(ValueError, match=r"cut\.txt\.gz is not a vocabulary"):
+    with pytest.raises(ValueError, match=r"cut\.txt\.gz is not a valid vocabulary"):
         bpe.load(tmp_path / "cut.txt.gz", 49408)
 
 

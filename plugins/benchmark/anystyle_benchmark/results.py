@@ -11,7 +11,6 @@
 
 import gzip
 import hashlib
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -22,7 +21,7 @@ from PIL import Image
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.documents import MAX_BYTES, Number, kept_json, parse_json, read_json
+from anystyle.io.documents import MAX_BYTES, Number, kept_json, parse_json, parsing, read_json
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import PROTOCOL, Inputs
 
@@ -220,11 +219,8 @@ def read_figures(root: Path) -> Figures:
         raise UserError(f"there is no {path}; run `anystyle benchmark judge {path.parent}` first")
     if path.suffix == ".json":
         return read_json(path, Figures, what="file of figures")
-    try:
-        with gzip.open(path) as file:
-            text = file.read(MAX_BYTES)
-    except (OSError, EOFError, zlib.error) as error:
-        raise UserError(f"{path} cannot be unpacked ({one_line(error)})") from None
+    with parsing(path, "packed file of figures"), gzip.open(path) as file:
+        text = file.read(MAX_BYTES)
     return parse_json(text, Figures, source=str(path), what="file of figures")
 
 

@@ -93,5 +93,5 @@ def test_packed_scores_are_read_as_they_were(world, figures, tmp_path):
     packed.write_bytes(gzip.compress((world[1] / "figures.json").read_bytes()))
     assert read_figures(tmp_path) == read_figures(packed) == figures
     packed.write_bytes(packed.read_bytes()[:1000])
-    with pytest.raises(UserError, match=r"figures\.json\.gz cannot be unpacked"):
+    with pytest.raises(UserError, match=r"figures\.json\.gz is not a valid packed file"):
         read_figures(tmp_path)

@@ -1,15 +1,14 @@
 """What readers share: a file that is damaged, or not of the format, ends in one line."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Shaped
 
-from anystyle.errors import UserError, one_line
-from anystyle.io.documents import regular
+from anystyle.io.documents import parsing, regular
 from anystyle.io.limits import require
 from anystyle.io.splats import Remarks, Splats, visible
 from anystyle.types import Gaussians
@@ -24,16 +23,8 @@ def reading(path: Path, what: str) -> Iterator[Remarks]:
     regular(path, most=None, what=what)
     require(4 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
     remarks = Remarks(path)
-    try:
-        with np.errstate(all="ignore"):  # infinite numbers and NaN are looked for
-            yield remarks
-    except (UserError, ImportError, MemoryError):
-        raise
-    except Exception as error:  # parsers of damaged files raise nearly anything
-        reason = type(error).__name__
-        with suppress(UnicodeError):  # libraries in C++ quote bytes of the file
-            reason = f"it lacks {error}" if isinstance(error, KeyError) else one_line(error)[:200] or reason
-        raise UserError(f"{path} is not a readable {what} ({reason})") from None
+    with parsing(path, what), np.errstate(all="ignore"):  # infinite numbers and NaN are looked for
+        yield remarks
     remarks.tell()
 
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import atomic_path
-from anystyle.io.documents import fit, parse_json, regular
+from anystyle.io.documents import fit, parse_json, parsing, regular
 
 FORMAT = "anystyle/1"
 SCALES = ":scales"
@@ -167,7 +167,5 @@ def _metadata(path: str | Path) -> dict[str, str]:
 
 def _open(path: str | Path) -> Any:
     regular(path, most=None, what="weights file")
-    try:
+    with parsing(path, "safetensors file; get it again"):
         return safe_open(path, framework="pt")
-    except (SafetensorError, OSError) as error:
-        raise UserError(f"{path} is truncated or no safetensors file ({one_line(error)})") from None

@@ -10,9 +10,11 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, Literal, TypeVar
 
 import msgspec
@@ -139,16 +141,38 @@ def fit(value: Any, shape: type[T] | Any, *, source: str, what: str = "document"
     return _shaped(lambda: value, shape, source, what)
 
 
+_REASONS: dict[type[Exception], str] = {
+    RecursionError: f"it is nested deeper than {MAX_DEPTH} levels",
+    UnpicklingError: "it is damaged, or holds more than tensors and plain values",
+}
+"""What is told of errors whose own text would be of no use."""
+
+
 def _shaped(parse: Callable[[], Any], shape: Any, source: str, what: str, *, limit: bool = True) -> Any:
-    try:
+    with parsing(source, what):
         value = parse()
         _check(value, MAX_PARTS, limit)
         return msgspec.convert(value, shape)
-    except RecursionError:
-        raise UserError(f"{source} is nested deeper than {MAX_DEPTH} levels; expected a {what}") from None
-    except Exception as error:  # parsers of damaged text raise nearly anything
-        reason = one_line(error).replace("`", "'").replace("'$'", "the top").replace("'$.", "'")
-        raise UserError(f"{source} is not a valid {what} ({reason[:300] or type(error).__name__})") from None
+
+
+@contextmanager
+def parsing(source: str | Path, what: str) -> Iterator[None]:
+    """Refuse a file in one line if the block fails: what is damaged makes parsers raise nearly anything.
+
+    A :class:`UserError` of the block, which names the file itself, stays as it is.
+    """
+    try:
+        yield
+    except (UserError, ImportError, MemoryError):
+        raise
+    except Exception as error:
+        reason = _REASONS.get(type(error), "")
+        with suppress(UnicodeError):  # libraries in C++ quote bytes of the file
+            told = one_line(error).replace("`", "'").replace("'$'", "the top").replace("'$.", "'")[:300]
+            if isinstance(error, KeyError):  # of a name, or with a sentence in quotes
+                told = told.strip("'\"") if " " in told else f"it lacks {told}"
+            reason = reason or told
+        raise UserError(f"{source} is not a valid {what} ({reason or type(error).__name__})") from None
 
 
 def _check(value: Any, parts: int, limit: bool) -> None:
@@ -159,13 +183,13 @@ def _check(value: Any, parts: int, limit: bool) -> None:
         item, depth = stack.pop()
         count += 1
         if depth > MAX_DEPTH:
-            raise UserError(f"nested deeper than {MAX_DEPTH} levels")
+            raise ValueError(f"it is nested deeper than {MAX_DEPTH} levels")
         if count > parts:
-            raise UserError(f"more than {parts:,} values")
+            raise ValueError(f"more than {parts:,} values")
         if isinstance(item, (dict, list, tuple)):
             inside = chain.from_iterable(item.items()) if isinstance(item, dict) else item
             stack.extend((part, depth + 1) for part in inside)
         elif limit and isinstance(item, float) and not math.isfinite(item):
-            raise UserError(f"the number {item}, where finite ones are expected")
+            raise ValueError(f"the number {item}, where finite ones are expected")
         elif isinstance(item, int) and not -(1 << 63) <= item < 1 << 63:
-            raise UserError("a whole number of more than 64 bits")
+            raise ValueError("a whole number of more than 64 bits")

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.documents import regular
+from anystyle.io.documents import parsing, regular
 from anystyle.io.limits import require
 from anystyle.io.splats import Offset, Remarks, Splats, near, visible
 
@@ -171,7 +171,7 @@ def _parsed(path: Path) -> PlyData:
     require(3 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
     header = _header(path)
     text = re.search(rb"^format +ascii", header, re.MULTILINE)
-    try:
+    with parsing(path, "PLY file of Gaussians"):
         with path.open(encoding="ascii", errors="ignore") if text else _AsciiHeader(path, len(header)) as stream:
             data = PlyData.read(stream)
         if "vertex" not in data:
@@ -180,19 +180,13 @@ def _parsed(path: Path) -> PlyData:
         if any(name.startswith(_SCALAR) for name in rows.dtype.names or ()):
             rows.dtype.names = tuple(name.removeprefix(_SCALAR) for name in rows.dtype.names)
             data = _with_vertices(data, rows, data.comments)
-    except (PlyParseError, ValueError) as error:
-        raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     return data
 
 
 def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     path, vertices = remarks.path, data["vertex"].data
-    try:
+    with parsing(path, "PLY file of Gaussians"):
         columns = unpack(data) if "chunk" in data else {name: vertices[name] for name in vertices.dtype.names or ()}
-    except UserError:
-        raise
-    except (KeyError, ValueError) as error:
-        raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     columns = _with_constant(columns, remarks)
     each, odd = divmod(sum(name.startswith("f_rest_") for name in columns), 3)
     if odd:
@@ -273,7 +267,7 @@ def unpack(data: PlyData) -> dict[str, NDArray[Any]]:
     """The properties of a compressed file by their names in an uncompressed one."""
     vertex, chunk = data["vertex"].data, data["chunk"].data
     if len(chunk) * CHUNK < len(vertex):
-        raise UserError(f"{len(chunk)} chunks for {len(vertex)} Gaussians; {CHUNK} a chunk are expected")
+        raise ValueError(f"{len(chunk)} chunks for {len(vertex)} Gaussians; {CHUNK} a chunk are expected")
     rows = np.arange(len(vertex)) // CHUNK
 
     def between(values: NDArray[np.float64], name: str) -> NDArray[np.float64]:

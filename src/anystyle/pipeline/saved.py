@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import torch
 import torch.nn.functional as F
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from torch import Tensor
 
 from anystyle.contracts import Format, Renderer
@@ -19,7 +19,7 @@ from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.transforms import matrix_from_wxyz
-from anystyle.io.documents import read_json, read_text, regular
+from anystyle.io.documents import parsing, read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import first_render, pixels_shown, with_gaussians
 from anystyle.methods.simplify import simplified
@@ -166,12 +166,9 @@ def _photographed(reports: Iterable[SavedReport]) -> bool:
 
 def read_gaussians(path: Path) -> Gaussians:
     """Read what :func:`save_gaussians` wrote."""
-    try:
-        with safe_open(regular(path, most=None), framework="pt") as file:
-            gaussians = Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
-            return gaussians.marked("antialiased" in (file.metadata() or {}))
-    except (SafetensorError, OSError) as error:
-        raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
+    with parsing(path, "file of Gaussians of anystyle"), safe_open(regular(path, most=None), framework="pt") as file:
+        gaussians = Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
+        return gaussians.marked("antialiased" in (file.metadata() or {}))
 
 
 @dataclass(frozen=True)

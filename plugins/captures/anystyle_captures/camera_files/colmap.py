@@ -17,7 +17,7 @@ from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.colmap import MODELS, NUM_PARAMETERS, Camera, Model, PosedImage
-from anystyle.io.documents import read_bytes
+from anystyle.io.documents import parsing, read_bytes
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.conversion import by_name, camera, finished
 from anystyle_captures.camera_files.lens import MAX_SIDE, PANORAMAS, Lens
@@ -32,6 +32,7 @@ _POLYNOMIAL = ONE_FOCAL - {"SIMPLE_DIVISION"} | {"PINHOLE", "OPENCV", "FULL_OPEN
 UNDISTORT = (
     "undistort the photographs first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path OUT"
 )
+UNKNOWN = f"its cameras are of the model {{}}, which is not known; {UNDISTORT}"
 
 MAX_BYTES = 1 << 30
 """The largest file of a model that is read."""
@@ -122,14 +123,10 @@ def read(folder: Path) -> Model:
     tables: list[Any] = []
     for name, rows_of, make in zip(("cameras", "images"), readers, (_camera, _photograph), strict=True):
         path = folder / f"{name}.{suffix}"
-        try:
+        with parsing(path, "file of COLMAP's that is read here"):
             rows = [(number, make(*fields)) for number, *fields in rows_of(read_bytes(path, most=MAX_BYTES))]
             if len(rows) > len(dict(rows)):
                 raise ValueError("two records have the same number")
-        except _UnknownModel as error:
-            raise UserError(f"{path} has cameras of the model {error}, which is not known; {UNDISTORT}") from None
-        except (struct.error, ValueError, KeyError, IndexError) as error:
-            raise UserError(f"{path} is damaged or not a file of COLMAP's ({str(error).splitlines()[0]})") from None
         tables.append(dict(rows))
     cameras, photographs = tables
     for photograph in photographs.values():
@@ -138,25 +135,21 @@ def read(folder: Path) -> Model:
     return Model(cameras, photographs)
 
 
-class _UnknownModel(LookupError):
-    """A camera model of a later version of COLMAP."""
-
-
 def _camera(model: str, width: int, height: int, parameters: Sequence[float]) -> Camera:
     if model not in NUM_PARAMETERS:
-        raise _UnknownModel(model[:40])
+        raise ValueError(UNKNOWN.format(model[:40]))
     stored = Camera(model, (height, width), tuple(parameters))
     sizes = 0 < width < MAX_SIDE and 0 < height < MAX_SIDE and len(parameters) == NUM_PARAMETERS[model]
     lens = model == "EQUIRECTANGULAR" or (sizes and min(split(stored)[0][:2]) > 0)
     if not (sizes and lens and np.isfinite(parameters).all()):
-        raise UserError(f"a camera {model} of {width}x{height} pixels with the parameters {stored.parameters[:12]}")
+        raise ValueError(f"a camera {model} of {width}x{height} pixels with the parameters {stored.parameters[:12]}")
     return stored
 
 
 def _photograph(pose: Sequence[float], camera: int, name: str) -> PosedImage:
     norm = float(np.linalg.norm(pose[:4]))
     if len(pose) != 7 or not np.isfinite(pose).all() or abs(norm - 1) > 1e-2:
-        raise UserError(f"the pose of {name[:80]} is not a rotation and translation")
+        raise ValueError(f"the pose of {name[:80]} is not a rotation and translation")
     w, x, y, z = (value / norm for value in pose[:4])
     return PosedImage(name, camera, (w, x, y, z), (pose[4], pose[5], pose[6]))
 
@@ -181,7 +174,7 @@ class _Records:
         """A number of records of at least ``smallest`` bytes each."""
         (number,) = self.take("Q")
         if number * smallest > len(self.data) - self.offset:
-            raise UserError(f"{number} records are announced, more than the file holds")
+            raise ValueError(f"{number} records are announced, more than the file holds")
         return number
 
     def text(self) -> str:
@@ -195,7 +188,7 @@ def _binary_cameras(data: bytes) -> Iterator[tuple[Any, ...]]:
     for _ in range(records.count(40)):
         number, index, width, height = records.take("iiQQ")
         if not 0 <= index < len(MODELS):
-            raise _UnknownModel(f"number {index}")
+            raise ValueError(UNKNOWN.format(f"number {index}"))
         yield number, MODELS[index], width, height, records.take(f"{NUM_PARAMETERS[MODELS[index]]}d")
 
 

@@ -44,7 +44,7 @@ def test_damaged_files_are_refused(tmp_path):
     whole = (tmp_path / "images.bin").read_bytes()
     for cut in (4, 30, len(whole) - 5):
         (tmp_path / "images.bin").write_bytes(whole[:cut])
-        with pytest.raises(ValueError, match="is damaged or not a file of COLMAP's"):
+        with pytest.raises(ValueError, match="is not a valid file of COLMAP's"):
             colmap_files.read(tmp_path)
     (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 3) + whole[8:] + whole[-len(whole[8:]) // 2 :])
     with pytest.raises(ValueError, match="two records have the same number"):

@@ -1,6 +1,5 @@
 """The tensors in a file of weights, which is data: nothing in it is run."""
 
-import pickle
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from torch import Tensor
 from anystyle.errors import UserError
 from anystyle.io.arrays import check_tensors
 from anystyle.io.checkpoint import dequantized
-from anystyle.io.documents import regular
+from anystyle.io.documents import parsing, regular
 
 IGNORED = (
     "omegaconf.", "typing.", "collections.", "lightning.", "pytorch_lightning.", "src.", "pathlib.",
@@ -41,15 +40,8 @@ def read(path: str | Path) -> dict[str, Tensor]:
     They are mapped where the format allows, so that an optimiser's state beside them is never read.
     """
     path = regular(path, most=None, what="file of weights")
-    try:
+    with parsing(path, "file of weights; get it again"):
         state = load_file(path) if path.suffix == ".safetensors" else _torch_file(path)
-    except (MemoryError, UserError):
-        raise
-    except pickle.UnpicklingError:
-        raise UserError(f"{path} is damaged or holds more than tensors; get it again") from None
-    except Exception as error:  # damaged archives and pickles raise nearly anything
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise UserError(f"{path} is truncated or no file of weights ({reason}); get it again") from None
     for name in ("state_dict", "model_state_dict"):
         if isinstance(state, Mapping) and isinstance(state.get(name), Mapping):
             state = state[name]
@@ -57,10 +49,8 @@ def read(path: str | Path) -> dict[str, Tensor]:
         isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()
     ):
         raise UserError(f"{path} holds no plain state dict; save `module.state_dict()` alone")
-    try:
+    with parsing(path, "file of weights"):
         check_tensors(state.values())
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from None
     return dequantized(state, source=str(path))
 
 
