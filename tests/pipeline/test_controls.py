@@ -136,7 +136,7 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     Image.fromarray(np.maximum(mask[..., None], dark)).save(tmp_path / "one.png")
     assert MaskFolder(tmp_path).weights(gaussians, shown)[0, :2].max() < 0.2
     Image.fromarray(mask.astype(np.uint16) // 255).save(tmp_path / "one.png")
-    with pytest.raises(ValueError, match="its largest level is 1 of 65535; save labels with 8 bits"):
+    with pytest.raises(ValueError, match="no level is white, the largest is 1 of 65535; save labels"):
         MaskFolder(tmp_path).weights(gaussians, shown)
     Image.fromarray(np.dstack([255 - mask, mask])).save(tmp_path / "one.png")  # dark where it is opaque
     assert MaskFolder(tmp_path).weights(gaussians, shown).max() < 0.02
