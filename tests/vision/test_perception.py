@@ -110,11 +110,11 @@ def test_refusals_name_what_is_wrong(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"1 missing \(features\.34\.bias\); 1 misshapen \(features\.2\.weight is"):
         networks.load("vgg19", tmp_path / "short.safetensors")
     (tmp_path / "cut.safetensors").write_bytes((tmp_path / "short.safetensors").read_bytes()[:5000])
-    with pytest.raises(ValueError, match=r"cut\.safetensors is not a valid file of weights"):
+    with pytest.raises(ValueError, match=r"cut\.safetensors is not a valid file of weights, or truncated"):
         networks.load("vgg19", tmp_path / "cut.safetensors")
     torch.save(state, tmp_path / "whole.pth")
     (tmp_path / "cut.pth").write_bytes((tmp_path / "whole.pth").read_bytes()[:5000])
-    with pytest.raises(ValueError, match=r"cut\.pth is (truncated|damaged)"):
+    with pytest.raises(ValueError, match=r"cut\.pth is not a valid file of weights, or truncated"):
         networks.load("vgg19", tmp_path / "cut.pth")
     torch.save({"features": eval}, tmp_path / "evil.pth")
     with pytest.raises(ValueError, match=r"holds code or objects of other programs \(builtins\.eval\)"):

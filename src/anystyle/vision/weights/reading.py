@@ -40,7 +40,7 @@ def read(path: str | Path) -> dict[str, Tensor]:
     They are mapped where the format allows, so that an optimiser's state beside them is never read.
     """
     path = regular(path, most=None, what="file of weights")
-    with parsing(path, "file of weights; get it again"):
+    with parsing(path, "file of weights, or truncated; get it again"):
         state = load_file(path) if path.suffix == ".safetensors" else _torch_file(path)
     for name in ("state_dict", "model_state_dict"):
         if isinstance(state, Mapping) and isinstance(state.get(name), Mapping):
