@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from anystyle.data.folder import cover, read_originals, read_views, tell_of_cut
-from anystyle.data.images import SUFFIXES, is_hdr
+from anystyle.data.images import SUFFIXES
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
 from anystyle.types import SourceImage
@@ -327,18 +326,6 @@ def test_photographs_that_are_not_developed_are_named(tmp_path, caplog):
         read(tmp_path / "360")
     save(tmp_path / "a.jpg")
     assert read(tmp_path)[0].images.shape[1] == 1 and "1 photographs in" in caplog.text and "(CR3)" in caplog.text
-
-
-def test_photographs_of_high_dynamic_range_are_told(tmp_path, caplog):
-    for name, transfer in (("pq", 16), ("hlg", 18), ("srgb", 13)):
-        chunk = PngInfo()
-        chunk.add(b"cICP", bytes([9, transfer, 0, 1]))
-        Image.new("RGB", (32, 32)).save(tmp_path / f"{name}.png", pnginfo=chunk)
-    read(tmp_path)
-    assert "(PQ or HLG) come out pale, save them as SDR: hlg.png, pq.png" in caplog.messages[-1]
-    for more, bright in ((b"", True), (b"tmap", False)):  # the second is of a gain map
-        (tmp_path / "a.avif").write_bytes(b"ftypavif" + more + b"colrnclx" + bytes([0, 9, 0, 16, 0, 9, 128]))
-        assert is_hdr(tmp_path / "a.avif") is bright
 
 
 def test_panoramas_are_no_photographs(tmp_path, caplog):

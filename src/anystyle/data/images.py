@@ -17,6 +17,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError, listing, one_line
 from anystyle.examples import resolved
+from anystyle.io import hdr
 from anystyle.io.images import Picture, formats, opened, require_pixels, rounded_to_8_bits, stored_size
 
 logger = logging.getLogger(__name__)
@@ -26,8 +27,8 @@ SUFFIXES = frozenset(
 )
 """File names that are taken for images in a folder."""
 
-_HDR = re.compile(rb"colrnclx..\0[\x10\x12]|cICP.[\x10\x12]", re.DOTALL)
-"""The transfer functions PQ (16) and HLG (18) of ITU-T H.273, as AVIF, HEIF and PNG files state them."""
+_CODES = re.compile(rb"(?:colrnclx.(.)\0|cICP(.))([\x10\x12])", re.DOTALL)
+"""Primaries, and the transfer functions PQ (16) and HLG (18) of ITU-T H.273, as AVIF, HEIF and PNG files state them."""
 
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
@@ -62,14 +63,15 @@ def panorama_tag(path: Path) -> str:
     return f"{'part of ' * (len(widths) > 1)}{found[1].decode()}" if found else ""
 
 
-def is_hdr(path: Path) -> bool:
-    """Whether a photograph is of high dynamic range (PQ or HLG), and its colours come out pale.
+def hdr_codes(source: Picture) -> tuple[int, int] | None:
+    """Primaries and transfer function of a photograph of high dynamic range (PQ or HLG), numbers of ITU-T H.273.
 
-    Not where that is a second picture, by a gain map (``tmap`` of ISO 21496-1).
+    Nothing where that is a second picture, by a gain map (``tmap`` of ISO 21496-1).
     """
-    with path.open("rb") as file:
+    with io.BytesIO(source) if isinstance(source, bytes) else source.open("rb") as file:
         start = file.read(1 << 16)
-    return _HDR.search(start) is not None and b"tmap" not in start
+    found = None if b"tmap" in start else _CODES.search(start)
+    return (ord(found[1] or found[2]), ord(found[3])) if found else None
 
 
 def read_exif(path: Path) -> Image.Exif:
@@ -81,8 +83,9 @@ def read_exif(path: Path) -> Image.Exif:
 def open_image(source: Picture, name: str = "", *, longest: int = 4096, masked: bool = False) -> Image.Image:
     """Read an image as upright 8-bit sRGB: grey, 16-bit, CMYK, palette and transparent ones too.
 
-    What is transparent shows white; colours of another profile that the file holds are converted. The size is checked
-    before any pixel is decoded, and a larger image is reduced while it is read, so that memory stays bounded.
+    What is transparent shows white; colours of another profile that the file holds are converted, and those of high
+    dynamic range. The size is checked before any pixel is decoded, and a larger image is reduced while it is read, so
+    that memory stays bounded.
 
     Args:
         source: A file that Pillow opens, or the bytes of one.
@@ -92,8 +95,10 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096, masked: 
             edges into what is left of the transparent pixels. So a painting that is cut out is looked at.
     """
     with opened(source, name) as image:
-        upright = _to_srgb(_upright(image, source, longest))
-        return _to_rgb(_opaque(upright) if masked else upright)
+        upright, codes = _upright(image, source, longest), hdr_codes(source)
+        upright = upright if codes else _to_srgb(upright)
+        colors = _to_rgb(_opaque(upright) if masked else upright)
+        return hdr.to_sdr(colors, *codes) if codes else colors
 
 
 def open_alpha(source: Picture, name: str = "", *, longest: int = 4096) -> Image.Image | None:
