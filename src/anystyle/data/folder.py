@@ -18,7 +18,7 @@ from PIL import Image
 from anystyle.data import images
 from anystyle.errors import UserError, listing
 from anystyle.examples import resolved
-from anystyle.io import hdr, video
+from anystyle.io import color, video
 from anystyle.io.images import Picture
 from anystyle.io.limits import require
 from anystyle.paths import folders_in, natural, short_names, text_of
@@ -338,7 +338,7 @@ def _shots(inputs: Sequence[Path], max_views: int, *, panoramas: bool = False) -
         except ValueError as error:
             problems.append(str(error))
     if bright := [shot.path.name for shot in shots if not shot.frame and images.hdr_codes(shot.path)]:
-        _log.warning("photographs of high dynamic range (PQ or HLG) are %s: %s", hdr.CLIPPED, listing(bright, 3))
+        _log.warning("photographs of high dynamic range (PQ or HLG) are %s: %s", color.CLIPPED, listing(bright, 3))
     if not panoramas and shots and all(width == 2 * height for _, _, (width, height), _ in shots):
         told = "poses=sfm views.panorama=6 cuts them"
         _log.warning("all photographs are twice as wide as high, as 360° cameras take them; %s", told)

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError, listing, one_line
 from anystyle.examples import resolved
-from anystyle.io import hdr
+from anystyle.io import color
 from anystyle.io.images import Picture, formats, opened, require_pixels, rounded_to_8_bits, stored_size
 
 logger = logging.getLogger(__name__)
@@ -98,7 +98,7 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096, masked: 
         upright, codes = _upright(image, source, longest), hdr_codes(source)
         upright = upright if codes else _to_srgb(upright)
         colors = _to_rgb(_opaque(upright) if masked else upright)
-        return hdr.to_sdr(colors, *codes) if codes else colors
+        return color.to_sdr(colors, *codes) if codes else colors
 
 
 def open_alpha(source: Picture, name: str = "", *, longest: int = 4096) -> Image.Image | None:

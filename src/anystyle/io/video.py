@@ -10,14 +10,14 @@ import numpy as np
 from av.container import InputContainer
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
-from av.video.reformatter import ColorRange, Colorspace, Interpolation
+from av.video.reformatter import ColorRange, Colorspace
 from jaxtyping import Float
 from PIL import ExifTags, Image
 from scipy.ndimage import laplace
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.io import hdr
+from anystyle.io import color
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
@@ -41,9 +41,6 @@ HD_LINES = 720
 
 BT709 = 1
 """Its matrix, primaries and transfer function in ITU-T H.273."""
-
-_EXACT = Interpolation.BICUBIC | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
-"""How frames become RGB: by default they are a level too dark, and colours follow edges less closely."""
 
 
 class _Timeline(NamedTuple):
@@ -119,9 +116,7 @@ def _sharpest(
     for number, frame in _decode(path, key_frames_only=key_frames_only):
         part, sharp = timeline.part(number, frame.pts, count), _sharpness(frame)
         if part not in best or sharp > best[part][0]:
-            image = frame.to_image(width=round(frame.width * timeline.pixel_aspect), interpolation=_EXACT)
-            if frame.color_trc in hdr.CURVES:
-                image = hdr.to_sdr(image, frame.color_primaries, frame.color_trc)
+            image = color.to_image(frame, round(frame.width * timeline.pixel_aspect))
             best[part] = (sharp, number, image.rotate(frame.rotation, expand=True))
     return {part: (number, image) for part, (_, number, image) in best.items()}
 
@@ -147,8 +142,8 @@ def _inspect(path: Path, count: int) -> _Timeline:
         if (size := stream.codec_context) is not None:  # without a decoder, reading raises
             what = f"{min(count, len(ends))} frames of {size.width}x{size.height} of {path}"
             require(3 * min(count, len(ends)) * size.width * size.height, what, "take fewer (views.take)")
-            if (curve := hdr.CURVES.get(size.color_trc)) is not None:
-                _log.warning("%s is a film of high dynamic range (%s), %s", path, curve, hdr.CLIPPED)
+            if (curve := color.CURVES.get(size.color_trc)) is not None:
+                _log.warning("%s is a film of high dynamic range (%s), %s", path, curve, color.CLIPPED)
             parts = getattr(size.format, "components", ())  # VP9 has it in a stream of its own
             if any(part.is_alpha for part in parts) or stream.metadata.get("alpha_mode") == "1":
                 _log.warning("%s has an alpha channel, which is not used: give its frames as PNG to use it", path)

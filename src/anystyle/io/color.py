@@ -1,0 +1,60 @@
+"""Frames of films in RGB, and colours of high dynamic range in sRGB, by FFmpeg."""
+
+from fractions import Fraction
+from functools import cache
+
+import numpy as np
+from av.filter import Graph
+from av.video.frame import VideoFrame
+from av.video.reformatter import ColorRange
+from jaxtyping import UInt
+from PIL import Image, ImageFilter
+
+CURVES = {16: "PQ", 18: "HLG"}
+"""Transfer functions of high dynamic range, by their number in ITU-T H.273."""
+
+CLIPPED = "brought to sRGB, where what is brighter than white (203 cd/m²) is clipped"
+
+_UNSPECIFIED, _BT2020 = 2, 9
+_GRID = 65
+"""The finest grid of colours that Pillow interpolates in."""
+
+
+def scaled(frame: VideoFrame, options: str, pixels: str = "rgb24") -> UInt[np.ndarray, "H W 3"]:
+    """A frame by FFmpeg's filter ``scale``; ``reformat`` of PyAV lays the colours of 4:2:0 half a pixel aside."""
+    graph = Graph()
+    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1))
+    filters = [graph.add("scale", options), graph.add("format", pixels), graph.add("buffersink")]
+    graph.link_nodes(source, *filters).configure()
+    graph.push(frame)
+    converted = graph.pull()
+    assert isinstance(converted, VideoFrame)
+    return converted.to_ndarray()
+
+
+def to_image(frame: VideoFrame, width: int) -> Image.Image:
+    """A frame as RGB, scaled to ``width`` pixels; of high dynamic range in sRGB.
+
+    By default FFmpeg truncates, and frames are a level too dark.
+    """
+    image = Image.fromarray(scaled(frame, f"{width}:{frame.height}:flags=bicubic+accurate_rnd+full_chroma_int"))
+    return to_sdr(image, frame.color_primaries, frame.color_trc) if frame.color_trc in CURVES else image
+
+
+def to_sdr(image: Image.Image, primaries: int, curve: int) -> Image.Image:
+    """An RGB image of high dynamic range in sRGB; primaries and transfer function are numbers of ITU-T H.273.
+
+    Diffuse white, 203 cd/m² (ITU-R BT.2408), becomes white; what is brighter, or more saturated than sRGB, is clipped.
+    """
+    return image.filter(_table(_BT2020 if primaries == _UNSPECIFIED else primaries, curve))
+
+
+@cache
+def _table(primaries: int, curve: int) -> ImageFilter.Color3DLUT:
+    """What becomes of a grid of colours: FFmpeg takes seconds to prepare this, whatever the number of pixels."""
+    levels = np.linspace(0, 65535, _GRID).round().astype(np.uint16)
+    colors = np.stack(np.meshgrid(levels, levels, levels, indexing="ij")[::-1], axis=-1)  # red changes fastest
+    frame = VideoFrame.from_ndarray(colors.reshape(_GRID, -1, 3), format="rgb48le")
+    frame.color_primaries, frame.color_trc, frame.color_range = primaries, curve, ColorRange.JPEG
+    converted = scaled(frame, "out_transfer=iec61966-2-1:out_primaries=bt709:out_range=full", "rgb48le")
+    return ImageFilter.Color3DLUT(_GRID, (converted / 65535).ravel().tolist())
