@@ -102,10 +102,9 @@ def launch(
             print(f"{job} failed: {one_line(error) or type(error).__name__}", file=sys.stderr, flush=True)
             raise JobError(error) from error  # Hydra goes on with the other jobs
 
-    run_hydra = hydra.main(config_path=str(folder or paths.CONF), config_name=config_name, **VERSION_BASE)
     with _for_hydra(completed(words)):
         try:
-            run_hydra(task)()
+            hydra.main(config_path=str(folder or paths.CONF), config_name=config_name, **VERSION_BASE)(task)()
         except JobError as failed:
             failures.append(failed.error)
         except BrokenExecutor as error:

@@ -194,8 +194,7 @@ def _transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
 def _to_rgb(image: Image.Image) -> Image.Image:
     if image.mode.startswith("I") or image.mode == "F":
         # 16-bit files hold up to 65535, whatever the mode's own range; floating-point ones up to 1.
-        full = 65535 if image.mode.startswith("I") else 1
-        values = np.asarray(image).astype(np.float32) * np.float32(255 / full)
+        values = np.asarray(image).astype(np.float32) * np.float32(255 / (65535 if image.mode.startswith("I") else 1))
         return Image.fromarray(np.nan_to_num(values).round().clip(0, 255).astype(np.uint8)).convert("RGB")
     if _has_alpha(image):
         image = image.convert("RGBA")

@@ -68,9 +68,8 @@ def examples(evaluation: Evaluation, path: Path) -> None:
         for kind in kinds
     ]
     note = f"by {first}, {better} is better" + (f" ({STAND_IN})" if first in evaluation.stand_ins else "")
-    sheet = contact_sheet(cells, column_titles=titles, row_titles=kinds, footer=note, cell=(160, 160))
     with atomic_path(path) as temporary:
-        sheet.save(temporary)
+        contact_sheet(cells, column_titles=titles, row_titles=kinds, footer=note, cell=(160, 160)).save(temporary)
 
 
 def panels(

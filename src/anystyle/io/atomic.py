@@ -64,8 +64,7 @@ def write_text(path: str | Path, text: str, *, sync: bool = False) -> None:
 
 def write_json(path: str | Path, value: object) -> None:
     """Write a value as readable JSON; infinite and missing ones as :func:`~anystyle.io.documents.stored_number`."""
-    text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_text(path, text, sync=True)
+    write_text(path, json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n", sync=True)
 
 
 @contextmanager

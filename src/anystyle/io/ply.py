@@ -255,10 +255,9 @@ def _with_constant(columns: Mapping[str, NDArray[Any]], remarks: Remarks) -> dic
 
 
 def _properties(degree: int) -> list[str]:
-    higher = 3 * ((degree + 1) ** 2 - 1)
     return [
         *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
-        *(f"f_rest_{index}" for index in range(higher)),
+        *(f"f_rest_{index}" for index in range(3 * ((degree + 1) ** 2 - 1))),
         *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
     ]
 

@@ -110,8 +110,7 @@ def random_corners(
     """
     most = int(distortion * (side // 2))
     inwards = torch.randint(most + 1, (count, 4, 2), generator=generator)
-    sign = torch.tensor([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    return (_square(side) + sign * inwards).float()
+    return (_square(side) + torch.tensor([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * inwards).float()
 
 
 def warp_to_corners(

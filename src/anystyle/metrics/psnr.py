@@ -35,5 +35,4 @@ class PSNR(RowMean):
         return mean_per_row(comparison, self._decibels)
 
     def _decibels(self, batch: Pairs) -> Float[Tensor, " M"]:
-        error = (batch.preds - batch.target).square_().mean((1, 2, 3)).double()
-        return (-10 * error.log10()).clamp_max(self.most)
+        return (-10 * (batch.preds - batch.target).square_().mean((1, 2, 3)).double().log10()).clamp_max(self.most)

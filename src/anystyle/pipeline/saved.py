@@ -284,8 +284,7 @@ def _found_up(gaussians: Gaussians) -> tuple[str, str]:
     heights = (means - (across * means).sum(0) / shares.clamp_min(1e-12)) / (means.std(0, correction=0) + 1e-12)
     over, under = (((side * heights > 0.2) * opacities[:, None]).sum(0) / opacities.sum() for side in (1, -1))
     for axis, up in ((1, "y"), (2, "z")):
-        others = shares.sum() - shares[axis]
-        if shares[axis] >= LEVEL * others and over[axis] > ABOVE and under[axis] < BELOW:
+        if shares[axis] >= LEVEL * (shares.sum() - shares[axis]) and over[axis] > ABOVE and under[axis] < BELOW:
             return up, f"; {up} is taken to be up, for a floor lies across it: splat.up=opencv if it is -y"
     if not shares.sum() or shares[2] < LEVEL * shares[1]:
         return "opencv", "; up is taken to be -y, and splat.up=y or splat.up=z says that it is another axis"

@@ -68,9 +68,8 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
     """
     register()
     check_words(config_name, overrides)
-    folder = str((conf or paths.CONF).absolute())
     try:
-        with initialize_config_dir(folder, job_name=config_name, **VERSION_BASE):
+        with initialize_config_dir(str((conf or paths.CONF).absolute()), job_name=config_name, **VERSION_BASE):
             return hydra_compose(config_name, overrides=completed(overrides))
     except Exception as error:
         raise refused(error) from error

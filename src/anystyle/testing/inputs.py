@@ -67,8 +67,7 @@ def gaussians(batch: int, number: int, coefficients: int = 4, seed: int = 0) -> 
         source = generator(7000 + 1000 * seed + scene)
         # No two at one depth: renderers may draw those in any order.
         heights = torch.linspace(-1, 1, number)[torch.randperm(number, generator=source)]
-        across = torch.rand(number, 2, generator=source) * 2 - 1
-        means = torch.cat([across, heights[:, None]], dim=-1)
+        means = torch.cat([torch.rand(number, 2, generator=source) * 2 - 1, heights[:, None]], dim=-1)
         rotations = F.normalize(torch.randn(number, 4, generator=source), dim=-1)
         scales = 0.05 + 0.25 * torch.rand(number, 3, generator=source)
         opacities = 0.2 + 0.7 * torch.rand(number, generator=source)

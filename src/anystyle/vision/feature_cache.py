@@ -91,5 +91,4 @@ def identity(network: nn.Module) -> str:
     weights = [*network.parameters(), *network.buffers()]
     if network not in _NUMBERS or any(tensor.requires_grad for tensor in weights):
         _NUMBERS[network] = next(_NEXT)
-    versions = [tensor._version for tensor in weights if not tensor.is_inference()]
-    return f"{_NUMBERS[network]}:{sum(versions)}"
+    return f"{_NUMBERS[network]}:{sum(tensor._version for tensor in weights if not tensor.is_inference())}"

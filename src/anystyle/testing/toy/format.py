@@ -19,9 +19,8 @@ class ToyFormat(Format):
 
     def write(self, scene: StyledScene, path: Path) -> None:
         _, gaussians = scene.styles[-1]
-        arrays = {name: tensor[0].numpy() for name, tensor in asdict(gaussians).items()}  # N ... each
         with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)
+            np.savez(file, **{name: tensor[0].numpy() for name, tensor in asdict(gaussians).items()})
 
     def read(self, path: Path) -> StyledScene:
         try:
