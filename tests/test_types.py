@@ -8,8 +8,7 @@ from anystyle.types import Attributes, Cameras, Geometry, Scene, StyleEmbedding,
 
 def cameras(batch=2, views=3, size=(6, 8)):
     pose = torch.eye(4, dtype=torch.float64).repeat(batch, views, 1, 1)
-    rotations = Rotation.random(batch * views, rng=0).as_matrix()
-    pose[..., :3, :3] = torch.tensor(rotations).unflatten(0, (batch, views))
+    pose[..., :3, :3] = torch.tensor(Rotation.random(batch * views, rng=0).as_matrix()).unflatten(0, (batch, views))
     pose[..., :3, 3] = torch.randn(batch, views, 3, dtype=torch.float64)
     lens = torch.tensor([[7.0, 0, 4.2], [0, 7.5, 2.9], [0, 0, 1]], dtype=torch.float64)
     return Cameras(pose.float(), lens.float().expand(batch, views, 3, 3), size)

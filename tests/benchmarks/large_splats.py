@@ -52,8 +52,7 @@ def main(source: str, count: str, *words: str) -> None:
         file.parent.mkdir()
         split(Gaussians.load(source), int(count)).save(file)
         command = [sys.executable, "-m", "anystyle", "stylize", str(file), "--text", "charcoal drawing", *words]
-        one_thread = os.environ | {"OMP_NUM_THREADS": "1"}
-        subprocess.run([*command, "--out", f"{folder}/out"], check=True, env=one_thread)
+        subprocess.run([*command, "--out", f"{folder}/out"], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     sys.stdout.write(f"{used.ru_utime + used.ru_stime:.1f} CPU seconds, {used.ru_maxrss / 2**20:.2f} GiB at most\n")
 

@@ -259,8 +259,7 @@ def test_a_full_disk_leaves_the_results_of_the_last_run(photographs, tmp_path, c
 
     monkeypatch.setattr("anystyle.io.ply.PlyData.write", full)
     assert "No space left on device" in fails(capsys, *words)
-    after = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
-    assert after == before
+    assert {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()} == before
 
 
 def test_a_folder_of_other_results_is_refused_and_replaced_where_it_is_asked_for(

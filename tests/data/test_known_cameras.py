@@ -36,8 +36,7 @@ def sources(capture, count):
 def test_cameras_above_the_photographs_are_matched_and_scaled(capture):
     known = from_files(*sources(capture, 2))[2]
     assert known.indices == (0, 1) and known.names == ("0", "1", "2") and known.targets.intrinsics.shape[1] == 3
-    scale = known.views.size[0] / 480
-    torch.testing.assert_close(known.views.intrinsics[0, 0, 0, 0], torch.tensor(500 * scale))
+    torch.testing.assert_close(known.views.intrinsics[0, 0, 0, 0], torch.tensor(500 * (known.views.size[0] / 480)))
 
 
 def test_targets_are_placed_among_predicted_cameras(capture):

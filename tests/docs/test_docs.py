@@ -99,8 +99,7 @@ def test_names_exist(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_files_and_variables_exist(page):
-    text = FENCE.sub("", _text(page))
-    for name in set(re.findall(r"`((?:src|conf|docs|tests|notebooks)/[\w./]*)`", text)):
+    for name in set(re.findall(r"`((?:src|conf|docs|tests|notebooks)/[\w./]*)`", FENCE.sub("", _text(page)))):
         assert (ROOT / name).exists() or (page.parent / name).exists(), f"{page.name} speaks of {name}"
     for name in set(re.findall(r"\bANYSTYLE_\w+", _text(page))) - {"ANYSTYLE_TEST_DATA"}:
         assert name in _sources(), f"{page.name} speaks of {name}, which nothing reads"

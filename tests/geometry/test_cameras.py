@@ -23,8 +23,7 @@ def test_a_path_meets_its_cameras_and_stays_rigid(count):
     cameras = ring(count)
     path = smooth_path(cameras, 1001)
     for view in range(count):
-        apart = (path.world_from_camera - cameras.world_from_camera[:, view, None]).abs().amax((-1, -2))
-        assert apart.min() < 5e-3
+        assert (path.world_from_camera - cameras.world_from_camera[:, view, None]).abs().amax((-1, -2)).min() < 5e-3
     rotations = path.world_from_camera[0, :, :3, :3]
     torch.testing.assert_close(rotations @ rotations.mT, torch.eye(3).expand(1001, 3, 3), rtol=0, atol=1e-5)
     torch.testing.assert_close(torch.linalg.det(rotations), torch.ones(1001), rtol=0, atol=1e-5)
@@ -69,5 +68,4 @@ def test_what_is_looked_at_lies_on_the_axis_and_up_is_up(eye, target):
     seen = torch.linalg.inv(pose) @ torch.cat([target, torch.ones(1, dtype=torch.float64)])
     torch.testing.assert_close(seen[:3], torch.tensor([0.0, 0, way.norm()], dtype=torch.float64), rtol=0, atol=1e-9)
     # A point above the target is seen above it: y points down in world and image alike.
-    above = torch.linalg.inv(pose) @ torch.cat([target - torch.tensor([0, 1.0, 0]), torch.ones(1)]).double()
-    assert above[1] < 0
+    assert (torch.linalg.inv(pose) @ torch.cat([target - torch.tensor([0, 1.0, 0]), torch.ones(1)]).double())[1] < 0

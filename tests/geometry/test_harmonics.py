@@ -12,8 +12,7 @@ from tests.support.oracle import golden
 
 
 def directions(count: int) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(0)
-    return normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)
+    return normalize(torch.randn(count, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64), dim=-1)
 
 
 def test_published_basis() -> None:
@@ -32,8 +31,7 @@ def test_scipy(degree: int) -> None:
     for n in range(degree + 1):
         for m in range(-n, n + 1):
             complex_value = sph_harm_y(n, abs(m), polar, azimuth)  # holds the sign (-1) ** m
-            part = complex_value.imag if m < 0 else complex_value.real
-            columns.append(part * (np.sqrt(2) if m else 1))
+            columns.append((complex_value.imag if m < 0 else complex_value.real) * (np.sqrt(2) if m else 1))
     torch.testing.assert_close(basis(rays, degree), torch.from_numpy(np.stack(columns, axis=-1)))
 
 

@@ -24,8 +24,7 @@ def stored(curve: int) -> np.ndarray:
     if curve == 16:
         power = (light / 10_000) ** (2610 / 16384)
         return ((3424 + 2413 * 32 * power) / 4096 / (1 + 2392 * 32 / 4096 * power)) ** (2523 / 4096 * 128)
-    luminance = light @ [0.2627, 0.6780, 0.0593]
-    scene = light / 1000 * (luminance / 1000)[..., None] ** (1 / 1.2 - 1)
+    scene = light / 1000 * ((light @ [0.2627, 0.6780, 0.0593]) / 1000)[..., None] ** (1 / 1.2 - 1)
     bright = 0.17883277 * np.log(np.maximum(12 * scene, 1) - 0.28466892) + 0.55991073
     return np.where(scene <= 1 / 12, np.sqrt(3 * scene), bright)
 

@@ -60,9 +60,8 @@ def test_rows_that_show_nothing_are_left_out_and_the_others_keep_their_bits(tmp_
 
 
 def test_a_file_of_nothing_else_is_refused(tmp_path):
-    values = columns() | {"opacity": np.full(300, -INF)}
     with pytest.raises(UserError, match=r"no Gaussians that can be shown \(300 with opacity -inf\)"):
-        Gaussians.load(write_ply(tmp_path / "scene.ply", values))
+        Gaussians.load(write_ply(tmp_path / "scene.ply", columns() | {"opacity": np.full(300, -INF)}))
 
 
 @pytest.mark.parametrize("order", ["<", ">", ""])

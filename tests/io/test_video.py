@@ -88,8 +88,7 @@ def test_a_phones_film_is_upright_and_has_its_lens(tmp_path, rotation):
     wanted = (np.array([16, 16]) @ matrix - corners.min(0)) / np.ptp(corners, axis=0)
     pixels = np.asarray(image).astype(int)
     rows, columns = np.nonzero((pixels[..., 0] > 200) & (pixels[..., 1] < 90))
-    seen = columns.mean() / image.width, rows.mean() / image.height
-    np.testing.assert_allclose(seen, wanted, atol=0.05)
+    np.testing.assert_allclose((columns.mean() / image.width, rows.mean() / image.height), wanted, atol=0.05)
     [original] = read_originals([tmp_path / "a.mov"], longest=96, max_views=1)
     photograph = Photograph.from_exif("a", np.asarray(original.picture), original.exif)
     assert photograph.lens.startswith("Apple iPhone 15 Pro") and photograph.focal_length > 0

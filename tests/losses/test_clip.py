@@ -31,8 +31,7 @@ class Projection(StyleEncoder):
         self.learnt = nn.Parameter(torch.zeros(()))
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        small = F.interpolate(images, size=(8, 8), mode="area").flatten(1)
-        return F.normalize(small @ self.matrix.T, dim=-1)
+        return F.normalize(F.interpolate(images, size=(8, 8), mode="area").flatten(1) @ self.matrix.T, dim=-1)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         raise NotImplementedError

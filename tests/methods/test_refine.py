@@ -40,8 +40,7 @@ def test_renders_come_nearer_and_opacities_stay(strokes):
     assert error(refined, views, targets) < 0.6 * error(scene, views, targets)
     torch.testing.assert_close(refined.opacities, scene.opacities, rtol=0, atol=0)
     assert refined.means.shape == scene.means.shape
-    again = refine(scene, views, targets, everywhere, RENDERER, steps=80)
-    torch.testing.assert_close(again.means, refined.means)
+    torch.testing.assert_close(refine(scene, views, targets, everywhere, RENDERER, steps=80).means, refined.means)
 
 
 def test_pixels_without_confidence_do_not_count(strokes):

@@ -202,8 +202,7 @@ def test_a_changed_image_is_another_image():
     images[0] = 0.5
     assert cache.features(images, ("mean",), means)[0].tolist() == [0.5, 1]
     assert calls == [2, 1]
-    many = torch.linspace(0, 1, 60).view(60, 1, 1, 1).expand(-1, 3, 2, 2).contiguous()
-    cache.features(many, ("mean",), means)
+    cache.features(torch.linspace(0, 1, 60).view(60, 1, 1, 1).expand(-1, 3, 2, 2).contiguous(), ("mean",), means)
     assert len(cache) == 25
 
 

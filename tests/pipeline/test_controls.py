@@ -111,10 +111,9 @@ def test_a_soft_edge_runs_smoothly_from_one_to_zero():
 def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     """Gaussians left of the middle of a view get its dark half; the mask has twice the view's size."""
     size = (48, 64)
-    x = torch.tensor([-0.4, -0.2, 0.2, 0.4])
     gaussians = replace(
         scenes.gaussians(1, 4),
-        means=torch.stack([x, torch.zeros(4), torch.full((4,), 2.0)], 1)[None],
+        means=torch.stack([torch.tensor([-0.4, -0.2, 0.2, 0.4]), torch.zeros(4), torch.full((4,), 2.0)], 1)[None],
         scales=torch.full((1, 4, 3), 0.03),
         opacities=torch.full((1, 4), 0.9),
     )

@@ -113,8 +113,7 @@ def test_a_path_of_nerfstudios_viewer_is_where_the_scene_of_its_run_is(tmp_path)
     np.testing.assert_allclose(flight.times, [0, 0.1, 0.2, 0.3])
     path = along(flight, sphere(5), cameras(torch.eye(4)[None]), 7)
     torch.testing.assert_close(path.world_from_camera[0, ::2], poses, atol=1e-5, rtol=0)
-    focal = 24 / math.tan(math.radians(30))
-    torch.testing.assert_close(path.intrinsics[0, :, 1, 1], torch.full((7,), focal))
+    torch.testing.assert_close(path.intrinsics[0, :, 1, 1], torch.full((7,), 24 / math.tan(math.radians(30))))
     for changes, seconds in (({"fps": None}, 1.5), ({"fps": None, "seconds": None}, 0.125)):
         assert read_flight(path_file(tmp_path, poses, **changes)).times[-1] == pytest.approx(seconds)
     still = along(read_flight(path_file(tmp_path, poses[:1])), sphere(5), cameras(torch.eye(4)[None]), 3)
@@ -135,9 +134,8 @@ def test_a_path_of_nerfstudios_viewer_is_where_the_scene_of_its_run_is(tmp_path)
     ],
 )
 def test_a_file_that_is_no_path_is_a_line(changes, expected, tmp_path):
-    file = path_file(tmp_path, torch.eye(4)[None], **changes)
     with raises_line(UserError, match=expected, naming="path.json"):
-        Film(VideoOptions(path=str(file)))
+        Film(VideoOptions(path=str(path_file(tmp_path, torch.eye(4)[None], **changes))))
 
 
 @pytest.mark.parametrize(
@@ -184,8 +182,7 @@ def test_beyond_what_was_photographed_a_film_fades_to_the_background_unless_told
 
     turns, known = (0, 5, 10, 20, 35, 40, 45, 60, 120, 180), 4
     scene = StyledScene((("", ball),), cameras(seen_from(0, 10, 20)), tuple("abc"))
-    fov = 2 * math.degrees(math.atan(24 / 60))  # that of the photographs
-    file = path_file(tmp_path, seen_from(*turns), fov, fps=1)
+    file = path_file(tmp_path, seen_from(*turns), 2 * math.degrees(math.atan(24 / 60)), fps=1)
     confidence = ViewConfidence.of(ball, scene.cameras)
     film, pictures = Film(VideoOptions(path=str(file), fps=1)), {}
     for fade, background in ((True, 1.0), (False, 1.0), (True, 0.0)):

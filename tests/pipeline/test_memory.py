@@ -78,8 +78,7 @@ def photograph(folder, name="a", side=6000):
 
 
 def read_photographs(folder):
-    paths = [photograph(folder, name, 2800) for name in "ab"]
-    return read_views(paths, short_side=2800, multiple=14, max_views=2)
+    return read_views([photograph(folder, name, 2800) for name in "ab"], short_side=2800, multiple=14, max_views=2)
 
 
 def read_video(folder):

@@ -291,6 +291,5 @@ def test_a_floor_with_a_scene_above_it_says_which_axis_is_up(tmp_path, caplog, a
     scene = Gaussians.cat([ground, replace(ground, means=means, scales=torch.full((1, 300, 3), 0.03))], dim=1)
     options = (ViewOptions(), SplatOptions(cameras=3), RENDERER, 14, 56)
     cameras = saved.cameras_of(tmp_path / "scene.ply", alone(scene), *options)[0]
-    upward = -cameras.world_from_camera[0, :, axis, 1]  # of the images, along the axis
-    assert bool((upward > 0.5).all()) == (up is not None)
+    assert bool((-cameras.world_from_camera[0, :, axis, 1] > 0.5).all()) == (up is not None)
     assert (f"; {up} is taken to be up, for a floor lies across it" in caplog.text) == (up is not None)

@@ -72,8 +72,7 @@ def photographed(num_views, degrees=40, focal=200.0, size=(168, 192)):
     poses = arc(num_views, degrees)
     pictures = torch.from_numpy(np.stack([World().picture(pose, focal, size) for pose in poses]))
     lens = torch.tensor([[focal, 0, size[1] / 2], [0, focal, size[0] / 2], [0, 0, 1]]).expand(1, num_views, 3, 3)
-    cameras = Cameras(torch.from_numpy(poses).float()[None], lens.clone(), size)
-    return pictures.movedim(-1, 1).float() / 255, cameras
+    return pictures.movedim(-1, 1).float() / 255, Cameras(torch.from_numpy(poses).float()[None], lens.clone(), size)
 
 
 def panorama(num_views, degrees, distance=3.0):

@@ -121,5 +121,4 @@ def _picture(path: Path, *, seed: int, shift: int = 0) -> None:
     """A soft picture of 64 x 48 pixels, moved aside by some."""
     path.parent.mkdir(parents=True, exist_ok=True)
     coarse = np.random.default_rng(seed).integers(0, 255, (6, 9, 3), dtype=np.uint8)
-    wide = Image.fromarray(coarse).resize((72, 48), Image.Resampling.BICUBIC)
-    wide.crop((shift, 0, shift + 64, 48)).save(path)
+    Image.fromarray(coarse).resize((72, 48), Image.Resampling.BICUBIC).crop((shift, 0, shift + 64, 48)).save(path)

@@ -24,10 +24,9 @@ def scene(coefficients=4, count=400):
     rgb = torch.where(right[:, None], torch.tensor([0.9, 0.15, 0.1]), torch.tensor([0.1, 0.7, 0.2]))
     harmonics = torch.randn(count, coefficients, 3, generator=generator) * 0.15
     harmonics[:, 0] = constant_from_rgb(rgb + 0.05 * torch.randn(count, 3, generator=generator))
-    lean = torch.tensor([0.9, 0.1, 0.2, 0.37])
     return Gaussians(
         means=means[None],
-        rotations=(lean + 0.1 * torch.randn(count, 4, generator=generator))[None],
+        rotations=(torch.tensor([0.9, 0.1, 0.2, 0.37]) + 0.1 * torch.randn(count, 4, generator=generator))[None],
         scales=(torch.tensor([0.12, 0.02, 0.03]) * (0.5 + torch.rand(count, 3, generator=generator)))[None],
         opacities=(0.2 + 0.75 * torch.rand(count, generator=generator))[None],
         harmonics=harmonics[None],

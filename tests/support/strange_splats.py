@@ -307,8 +307,7 @@ def strange_rows() -> Iterator[Case]:
         held = held_by(values)
         held.scales[:, 2] = 0
         del values["scale_2"]
-        line = "without scale_2, its Gaussians are flat discs, as 2DGS writes them"
-        return Strange(ply(values), held, (line,))
+        return Strange(ply(values), held, ("without scale_2, its Gaussians are flat discs, as 2DGS writes them",))
 
     def lengths() -> Strange:
         values, draw = columns(0), drawn(5)

@@ -44,8 +44,7 @@ def expanded(pattern: str) -> list[str]:
 
 def shapes(network: str) -> dict[str, list[int]]:
     """The shapes of a network's tensors under their published names."""
-    patterns = record()[network]["keys"].items()
-    return {name: shape for pattern, shape in patterns for name in expanded(pattern)}
+    return {name: shape for pattern, shape in record()[network]["keys"].items() for name in expanded(pattern)}
 
 
 def weights(shapes: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -76,8 +76,7 @@ def test_the_grid_always_shows_the_same_scene_in_the_same_styles(tracked):
 def test_a_trial_exercises_everything_and_leaves_nothing(tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr("anystyle.training.stylization.log_picture", lambda logger, *rest: seen.append(type(logger)))
-    config = configuration((*TRACKED, "fast_dev_run=true", "checkpoint.every_steps=1"), tmp_path)
-    outcome = train(config, tmp_path)
+    outcome = train(configuration((*TRACKED, "fast_dev_run=true", "checkpoint.every_steps=1"), tmp_path), tmp_path)
     assert outcome.finished and outcome.steps == 2 and outcome.weights == ()
     assert seen == 2 * [CSVLogger, TensorBoardLogger] and not list(tmp_path.iterdir())
 
@@ -159,9 +158,8 @@ def test_options_of_a_training_that_no_step_can_have_are_refused_in_one_line(tmp
 def test_mistakes_in_the_data_show_before_networks_are_loaded(tmp_path, monkeypatch):
     monkeypatch.setattr("anystyle.training.run.make_training", lambda config: pytest.fail("networks were built"))
     given = [word for word in STYLIZATION if not word.startswith("styles")]
-    config = configuration((*given, "styles=wikiart", f"styles.root={tmp_path / 'gone'}"), tmp_path)
     with pytest.raises(ValueError, match="there is no such folder of paintings"):
-        train(config, tmp_path)
+        train(configuration((*given, "styles=wikiart", f"styles.root={tmp_path / 'gone'}"), tmp_path), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +196,8 @@ def test_what_cannot_be_read_is_drawn_anew_with_a_warning(tmp_path, caplog):
         assert torch.equal(batch.views.images, other.views.images)
         assert batch.style.has_image.all() and len(batch.keys) == 4
     assert 10 < caplog.text.count("is a damaged image") < 60
-    nothing = SceneBatches(scenes, batch_size=1, context_views=(900, 900), spread="any")
     with pytest.raises(ValueError, match=rf"{ATTEMPTS} draws .* could not be read; the last one: .*900 context"):
-        nothing.batch(0)
+        SceneBatches(scenes, batch_size=1, context_views=(900, 900), spread="any").batch(0)
 
 
 def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):

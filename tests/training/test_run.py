@@ -93,9 +93,8 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights(uninterrupted, tmp_pa
 
 def test_a_run_of_another_configuration_is_not_continued(uninterrupted):
     out, _ = uninterrupted
-    other = configuration((*RECONSTRUCTION, "training.learning_rate=0.5"), out)
     with pytest.raises(ValueError, match=r"training.learning_rate 0.001 -> 0.5\).*resume=changed"):
-        train(other, out)
+        train(configuration((*RECONSTRUCTION, "training.learning_rate=0.5"), out), out)
     # What does not change the result may change.
     assert train(configuration((*RECONSTRUCTION, "checkpoint.every_steps=1"), out), out).finished
 

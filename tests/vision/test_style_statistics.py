@@ -91,8 +91,7 @@ def test_scenes_that_show_their_painting_are_found_and_others_not(network, paint
     for shift, expected in ((0, 1.0), (1, 0.0)):
         metric = StyleRetrieval()
         crops = paintings.roll(shift, 0)[:, None, :, 20:148, 10:138].expand(-1, 2, -1, -1, -1)
-        style = Style(image=paintings)
-        metric.update(Comparison(content=crops, stylized=crops, style=style, scenes=("one",) * 4))
+        metric.update(Comparison(content=crops, stylized=crops, style=Style(image=paintings), scenes=("one",) * 4))
         found = metric.scores()
         for name in ("style_retrieval", "style_retrieval_gray"):
             assert float(found[name]) == float(found[f"{name}_csls"]) == expected

@@ -159,9 +159,7 @@ class Backbone(Pluggable, nn.Module, ABC):
     @classmethod
     def checkpoints(cls) -> Published | None:
         """What :attr:`published` is, or names."""
-        if not isinstance(cls.published, str):
-            return cls.published
-        return pkgutil.resolve_name(cls.published)()
+        return pkgutil.resolve_name(cls.published)() if isinstance(cls.published, str) else cls.published
 
     @property
     @final

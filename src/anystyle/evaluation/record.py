@@ -42,8 +42,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> E
     facts = {"n": evaluation.n, "better": dict(evaluation.better), "stand_ins": dict(evaluation.stand_ins)}
     table = summary(evaluation)
     rows = rows_table(evaluation.rows, evaluation.stand_ins)
-    texts = {"metrics.csv": rows.csv(), "table.md": table.markdown(), "table.tex": table.latex()}
-    for name, text in texts.items():
+    for name, text in {"metrics.csv": rows.csv(), "table.md": table.markdown(), "table.tex": table.latex()}.items():
         write_text(out / name, text)
     stored = {**evaluation.scores, **evaluation.groups, "provenance": {**evaluation.provenance, **facts}}
     write_json(out / FILE, stored)

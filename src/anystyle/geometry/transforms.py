@@ -62,8 +62,7 @@ def wxyz_from_matrix(matrices: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*b
 def multiply(left: Float[Tensor, "*batch 4"], right: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
     """Hamilton products: the rotation that turns by ``right`` first and by ``left`` then."""
     (a, u), (b, v) = (each.tensor_split([1], dim=-1) for each in torch.broadcast_tensors(left, right))
-    real = a * b - (u * v).sum(-1, keepdim=True)
-    return torch.cat([real, a * v + b * u + torch.linalg.cross(u, v)], dim=-1)
+    return torch.cat([a * b - (u * v).sum(-1, keepdim=True), a * v + b * u + torch.linalg.cross(u, v)], dim=-1)
 
 
 def cross_matrix(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:

@@ -15,7 +15,6 @@ CURVES = {16: "PQ", 18: "HLG"}
 
 CLIPPED = "brought to sRGB, where what is brighter than white (203 cd/m²) is clipped"
 
-_UNSPECIFIED, _BT2020 = 2, 9
 _GRID = 65
 """The finest grid of colours that Pillow interpolates in."""
 
@@ -26,10 +25,8 @@ def scaled(frame: VideoFrame, options: str, pixels: str = "rgb24") -> UInt[np.nd
     source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1))
     filters = [graph.add("scale", options), graph.add("format", pixels), graph.add("buffersink")]
     graph.link_nodes(source, *filters).configure()
-    graph.push(frame)
-    converted = graph.pull()
-    assert isinstance(converted, VideoFrame)
-    return converted.to_ndarray()
+    graph.vpush(frame)
+    return graph.vpull().to_ndarray()
 
 
 def to_image(frame: VideoFrame, width: int) -> Image.Image:
@@ -46,7 +43,7 @@ def to_sdr(image: Image.Image, primaries: int, curve: int) -> Image.Image:
 
     Diffuse white, 203 cd/m² (ITU-R BT.2408), becomes white; what is brighter, or more saturated than sRGB, is clipped.
     """
-    return image.filter(_table(_BT2020 if primaries == _UNSPECIFIED else primaries, curve))
+    return image.filter(_table(9 if primaries == 2 else primaries, curve))  # unspecified ones are BT.2020's
 
 
 @cache

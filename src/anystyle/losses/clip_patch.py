@@ -119,8 +119,7 @@ def warp_to_corners(
     """Square images seen in perspective, black where they end; ``corners`` as of :func:`random_corners`."""
     count, _, side, _ = images.shape
     # Corners are read as points of a plane in which a pixel's centre lies at +0.5; kornia's pixels are at integers.
-    square = _square(side).to(images).expand(count, 4, 2)
-    motion = get_perspective_transform(square - 0.5, corners - 0.5)
+    motion = get_perspective_transform(_square(side).to(images).expand(count, 4, 2) - 0.5, corners - 0.5)
     covered = torch.cat([images, torch.ones_like(images[:, :1])], dim=1)
     warped = warp_perspective(covered, motion, (side, side), mode="bilinear", padding_mode="zeros")
     # Published transforms fade the border pixels once by interpolation with black and once by their coverage.

@@ -54,9 +54,7 @@ class Option:
 def _constructor(plugin: Plugin) -> tuple[list[inspect.Parameter], dict[str, Any]]:
     """Parameters and evaluated annotations of a plugin's own constructor; none where it only inherits one."""
     cls = plugin.load()
-    if cls.__init__ is base_of(plugin.kind).__init__:
-        return [], {}
-    return _signature(plugin, cls.__init__)
+    return ([], {}) if cls.__init__ is base_of(plugin.kind).__init__ else _signature(plugin, cls.__init__)
 
 
 @_kept

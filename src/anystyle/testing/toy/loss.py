@@ -19,5 +19,4 @@ class ToyLoss(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        target = result.views.images.mean((2, 3, 4))  # B V
-        return (result.renders.color.mean((2, 3, 4)) - target).square().mean()
+        return (result.renders.color.mean((2, 3, 4)) - result.views.images.mean((2, 3, 4))).square().mean()

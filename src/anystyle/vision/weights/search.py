@@ -34,8 +34,7 @@ class MissingWeights(UserError, FileNotFoundError):
 
 def folders() -> tuple[Path, ...]:
     """The folders that are searched, in order: those of ``ANYSTYLE_WEIGHTS``, then the package's own."""
-    named = [expanded(folder) for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder]
-    return (*named, paths.ASSETS)
+    return (*[expanded(folder) for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder], paths.ASSETS)
 
 
 def candidates(name: str) -> Iterator[Path]:
