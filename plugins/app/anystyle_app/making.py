@@ -98,8 +98,7 @@ class Maker:
             overrides=(f"method={method}", "export.renders=true", *self.overrides, "export.formats=[html]"),
         )
         described = title_of(style) if isinstance(style, Path) else style
-        name = f"{slug(Path(files[0].removeprefix(PREFIX)).stem)}_{slug(described)}"
-        folder = self._new_folder(name)
+        folder = self._new_folder(f"{slug(Path(files[0].removeprefix(PREFIX)).stem)}_{slug(described)}")
         anystyle.stylize(request, out=folder, stages=stages)
         with stages("write", "an archive"), atomic_path(_archive(folder)) as path:
             shutil.make_archive(str(path.with_suffix("")), "zip", self.out, folder.name)

@@ -99,8 +99,7 @@ def make_job(inputs: Inputs, scene: SceneEntry, styles: Sequence[StyleEntry], se
     photographs = {stem: str(path.resolve()) for stem, path in inputs.photographs(scene).items()}
     images = {style.name: style.image and str(inputs.path(style.image).resolve()) for style in styles}
     asked = tuple(AskedStyle(style.name, images[style.name], style.text) for style in styles)
-    size = inputs.size(scene)
-    return Job(inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out))
+    return Job(inputs.track.name, scene.name, photographs, scene.views, inputs.size(scene), asked, seed, str(out))
 
 
 def ask(job: Job, spec: Spec, home: Path) -> Ended:

@@ -72,8 +72,7 @@ class Ksplat(Format):
                     rest = low + rest / 255 * (high - low)
                 # gaussforge, which alone says that no section is in use, has all of red first, then green, then blue.
                 for band in _bands(part.degree) if used else [slice(1, (part.degree + 1) ** 2)]:
-                    wide = band.stop - band.start
-                    values = rest[:, 3 * band.start - 3 : 3 * band.stop - 3].reshape(-1, 3, wide)
+                    values = rest[:, 3 * band.start - 3 : 3 * band.stop - 3].reshape(-1, 3, band.stop - band.start)
                     harmonics[at : at + len(rest), band] = values.mT
                 at += len(rest)
             turns, scales = (np.concatenate([part[name] for part in rows]) for name in ("turn", "scale"))

@@ -26,8 +26,7 @@ class Splat(Format):
         rows["position"], rows["scale"] = means, scales
         rows["color"] = color_bytes(path, columns)
         rows["rotation"] = in_bytes(rotations * 128 + 128)
-        order = np.argsort(-opacities * scales.prod(1), kind="stable")
-        write_bytes(path, rows[order].tobytes())
+        write_bytes(path, rows[np.argsort(-opacities * scales.prod(1), kind="stable")].tobytes())
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, ".splat file") as remarks:

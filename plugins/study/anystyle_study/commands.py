@@ -252,10 +252,9 @@ def power_job(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Simulate studies."""
     if arguments.out is not None:
         of_extra("matplotlib", "figures and the report need", "report")
-    tests = build_all(StudyTest, config.study_test, alternative=arguments.alternative, seed=arguments.seed)
     study = power_study(
         Scenario(effect=arguments.effect, **{option.name: getattr(arguments, option.name) for option in _SCENARIO}),
-        tests,
+        build_all(StudyTest, config.study_test, alternative=arguments.alternative, seed=arguments.seed),
         **{name: getattr(arguments, name) for name in ("participants", "studies", "seed", "level", "target")},
         progress=lambda text: print(f"{text} …", file=sys.stderr, flush=True),
     )

@@ -165,8 +165,7 @@ class GaussianHead(contracts.GaussianHead):
         return self.stylizer.sites
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
-        style = self.style_encoder(symmetric(images[:, :1]))
-        color = self.color(self.stylizer(features[0], style, inject), images)
+        color = self.color(self.stylizer(features[0], self.style_encoder(symmetric(images[:, :1])), inject), images)
         return replace(self.without_colors(features, images), color=color)
 
     def without_colors(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Attributes:

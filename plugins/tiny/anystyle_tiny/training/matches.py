@@ -114,5 +114,4 @@ def feature_dims(backbone: Backbone) -> dict[int, int]:
     side = 2 * backbone.patch_size
     reference = next(backbone.parameters())
     black = torch.zeros(1, 1, 3, side, side, device=reference.device, dtype=reference.dtype)
-    features = backbone.aggregator(backbone.embedder(black))
-    return {layer: tokens.data.shape[-1] for layer, tokens in features.items()}
+    return {layer: tokens.data.shape[-1] for layer, tokens in backbone.aggregator(backbone.embedder(black)).items()}
