@@ -7,7 +7,7 @@ from anystyle.__main__ import available
 from anystyle.registry.catalog import kinds
 
 ROOT = Path(__file__).parent.parent
-LINES = {"src": 13_930, "plugins": 17_140, "tests": 22_160}
+LINES = {"src": 13_930, "plugins": 17_135, "tests": 22_160}
 """Lines of code at most; tests are those of plugins, too."""
 
 KINDS, COMMANDS = 19, 12

@@ -54,4 +54,4 @@ def _table(primaries: int, curve: int) -> ImageFilter.Color3DLUT:
     frame = VideoFrame.from_ndarray(colors.reshape(_GRID, -1, 3), format="rgb48le")
     frame.color_primaries, frame.color_trc, frame.color_range = primaries, curve, ColorRange.JPEG
     converted = scaled(frame, "out_transfer=iec61966-2-1:out_primaries=bt709:out_range=full", "rgb48le")
-    return ImageFilter.Color3DLUT(_GRID, (converted / 65535).ravel().tolist())
+    return ImageFilter.Color3DLUT(_GRID, (converted.ravel() / 65535).astype(np.float32))
