@@ -165,15 +165,16 @@ class Sleeping(Module):
         return torch.optim.SGD([self.weight], lr=0.1)
 
 
-def test_a_time_limit_ends_a_run_after_a_whole_step(tmp_path):
-    trainer = pl.Trainer(
-        accelerator="cpu", accumulate_grad_batches=4, max_steps=3, max_epochs=-1,
-        callbacks=[StepTimer(timedelta(seconds=0.1)), RunCheckpoint(tmp_path / "last.ckpt")],
-        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
-    )  # fmt: skip
-    with warnings.catch_warnings(action="ignore"):  # Lightning's advice on workers
-        trainer.fit(module := Sleeping(), torch.utils.data.DataLoader(torch.ones(12), batch_size=1))
-    assert trainer.global_step == 1 and module.last == 3 and (tmp_path / "last.ckpt").is_file()
+def test_a_time_limit_ends_a_start_of_a_run_after_a_whole_step(tmp_path):
+    for path, last, step in ((None, 3, 1), (tmp_path / "last.ckpt", 11, 3)):
+        trainer = pl.Trainer(
+            accelerator="cpu", accumulate_grad_batches=4, max_steps=3, max_epochs=-1,
+            callbacks=[StepTimer(timedelta(seconds=0.1)), RunCheckpoint(tmp_path / "last.ckpt")],
+            logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+        )  # fmt: skip
+        with warnings.catch_warnings(action="ignore"):  # Lightning's advice on workers
+            trainer.fit(module := Sleeping(), torch.utils.data.DataLoader(torch.ones(12), batch_size=1), ckpt_path=path)
+        assert trainer.global_step == step and module.last == last and (tmp_path / "last.ckpt").is_file()
 
 
 def test_the_schedule_is_the_published_one():

@@ -21,8 +21,8 @@ from anystyle.types import Cameras, Views
 class Counted(SceneSource):
     """Scenes that count how often they are made."""
 
-    def __init__(self, *, size: int = 12) -> None:
-        self.size, self.made = size, 0
+    def __init__(self, *, size: int = 12, nearest: float = 0.5) -> None:
+        self.size, self.nearest, self.made = size, nearest, 0
 
     def __len__(self) -> int:
         return 3
@@ -38,7 +38,7 @@ class Counted(SceneSource):
         count, size = self.num_views(scene), self.size
         images = (hashed(scene + 1, (1, count, 3, size, size)) * 255).round() / 255
         cameras = Cameras(hashed(9, (1, count, 4, 4)), hashed(8, (1, count, 3, 3)), (size, size))
-        depth = hashed(7, (1, count, size, size), 0.5, 8)
+        depth = hashed(7, (1, count, size, size), self.nearest, 8)
         return Views(images=images, cameras=cameras, depth=depth).select(list(views))
 
 
@@ -65,7 +65,8 @@ def test_sources_that_share_a_cache_keep_apart(tmp_path):
     """What a first try has left does not spoil the second one."""
     for size in (8, 16, 8):
         assert CachedScenes(Counted(size=size), tmp_path).read(0, [1]).images.shape[-2:] == (size, size)
-    assert len(list(tmp_path.iterdir())) == 2
+    CachedScenes(Counted(size=8, nearest=4), tmp_path).read(0, [1])  # the same images, other depth
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 class Steps:

@@ -119,6 +119,7 @@ def test_a_loss_that_explodes_stops_the_run(tmp_path):
         (("trainer.max_step=3",), r"Did you mean 'max_steps'\?"),
         (("trainer.max_time=3",), "days and time as DD:HH:MM:SS"),
         (("trainer.profiler=no_such",), "it can only be one of"),
+        (("trainer.precision=transformer-engine",), "transformer_engine"),
         (("loggers=[tensorbord]",), "Did you mean 'tensorboard'"),
     ],
 )

@@ -108,8 +108,7 @@ def random_corners(
     x and y of the upper left, upper right, lower right and lower left corner, which lie at 0 and ``side - 1`` at first
     and move by at most ``distortion`` times half a side.
     """
-    most = int(distortion * (side // 2))
-    inwards = torch.randint(most + 1, (count, 4, 2), generator=generator)
+    inwards = torch.randint(int(distortion * (side // 2)) + 1, (count, 4, 2), generator=generator)
     return (_square(side) + torch.tensor([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * inwards).float()
 
 

@@ -256,8 +256,7 @@ def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:
         UserError: The preset or an override is unknown, or weights do not fit.
         FileNotFoundError: A file of weights is missing.
     """
-    preset = [] if model is None else [f"model={model}"]
-    return assemble_frozen(compose("stylize", [*preset, *overrides]))[0]
+    return assemble_frozen(compose("stylize", [*([] if model is None else [f"model={model}"]), *overrides]))[0]
 
 
 def default_device() -> torch.device:

@@ -56,6 +56,10 @@ class StepTimer(Timer):
         if ends_step(trainer, batch_idx):
             super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
 
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing: each start of a run has the time anew, so that the same command goes on."""
+        return {}
+
 
 class StepThroughput(ThroughputMonitor):
     """Lightning's, whose ``samples`` count those of all processes, which have equally many."""

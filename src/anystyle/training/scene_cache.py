@@ -40,9 +40,10 @@ class CachedScenes(SceneSource):
 
     def __init__(self, source: SceneSource, folder: Path) -> None:
         self.source = source
-        first = self._tensors(0)["images"]
-        signature = f"{len(source)} {source.name(0)} {tuple(first.shape)} {int(first.sum())}"
-        self.folder = folder / hashlib.sha256(signature.encode(errors="surrogateescape")).hexdigest()[:16]
+        signature = hashlib.sha256(f"{len(source)} {source.name(0)}".encode(errors="surrogateescape"))
+        for _, tensor in sorted(self._tensors(0).items()):
+            signature.update(f"{tuple(tensor.shape)}".encode() + tensor.contiguous().numpy().tobytes())
+        self.folder = folder / signature.hexdigest()[:16]
 
     def __len__(self) -> int:
         return len(self.source)

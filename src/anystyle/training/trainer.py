@@ -120,7 +120,7 @@ def make_trainer(config: DictConfig, out: Path, guard: FiniteLoss, callbacks: li
         raise
     except TypeError as error:
         raise UserError(f"trainer: {error}; the options are those of lightning's Trainer") from None
-    except (MisconfigurationException, ValueError) as error:
+    except (MisconfigurationException, ValueError, ModuleNotFoundError) as error:
         remedy = "" if options.get("accelerator") == "cpu" else "; trainer=cpu does without a graphics card"
         raise UserError(f"trainer: {one_line(error).rstrip('.!')}{remedy}") from None
 
