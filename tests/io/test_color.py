@@ -33,7 +33,7 @@ def save(path: Path, curve: int) -> None:
     image = Image.fromarray((255 * stored(curve)).round().astype(np.uint8))
     if path.suffix == ".png":
         chunk = PngInfo()
-        chunk.add(b"cICP", bytes([9, curve, 0, 1]))
+        chunk.add(b"cICP", bytes([2, curve, 0, 1]))  # unspecified primaries are BT.2020's
         image.save(path, pnginfo=chunk)
     elif path.suffix == ".heic":
         codes = {

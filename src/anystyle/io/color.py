@@ -23,8 +23,9 @@ def scaled(frame: VideoFrame, options: str, pixels: str = "rgb24") -> UInt[np.nd
     """A frame by FFmpeg's filter ``scale``; ``reformat`` of PyAV lays the colours of 4:2:0 half a pixel aside."""
     graph = Graph()
     source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1))
-    filters = [graph.add("scale", options), graph.add("format", pixels), graph.add("buffersink")]
-    graph.link_nodes(source, *filters).configure()
+    graph.link_nodes(
+        source, graph.add("scale", options), graph.add("format", pixels), graph.add("buffersink")
+    ).configure()
     graph.vpush(frame)
     return graph.vpull().to_ndarray()
 
@@ -34,8 +35,10 @@ def to_image(frame: VideoFrame, width: int) -> Image.Image:
 
     By default FFmpeg truncates, and frames are a level too dark.
     """
+    # FFmpeg refuses a frame whose tags are reserved numbers; they are of no use to this step.
+    primaries, curve, frame.color_primaries, frame.color_trc = frame.color_primaries, frame.color_trc, 2, 2
     image = Image.fromarray(scaled(frame, f"{width}:{frame.height}:flags=bicubic+accurate_rnd+full_chroma_int"))
-    return to_sdr(image, frame.color_primaries, frame.color_trc) if frame.color_trc in CURVES else image
+    return to_sdr(image, primaries, curve) if curve in CURVES else image
 
 
 def to_sdr(image: Image.Image, primaries: int, curve: int) -> Image.Image:
@@ -43,7 +46,7 @@ def to_sdr(image: Image.Image, primaries: int, curve: int) -> Image.Image:
 
     Diffuse white, 203 cd/m² (ITU-R BT.2408), becomes white; what is brighter, or more saturated than sRGB, is clipped.
     """
-    return image.filter(_table(9 if primaries == 2 else primaries, curve))  # unspecified ones are BT.2020's
+    return image.filter(_table(primaries if primaries in (1, 9, 12) else 9, curve))  # others are taken for BT.2020's
 
 
 @cache
