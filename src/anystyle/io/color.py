@@ -22,10 +22,8 @@ _GRID = 65
 def scaled(frame: VideoFrame, options: str, pixels: str = "rgb24") -> UInt[np.ndarray, "H W 3"]:
     """A frame by FFmpeg's filter ``scale``; ``reformat`` of PyAV lays the colours of 4:2:0 half a pixel aside."""
     graph = Graph()
-    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1))
-    graph.link_nodes(
-        source, graph.add("scale", options), graph.add("format", pixels), graph.add("buffersink")
-    ).configure()
+    given = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1))
+    graph.link_nodes(given, *map(graph.add, ("scale", "format", "buffersink"), (options, pixels, None))).configure()
     graph.vpush(frame)
     return graph.vpull().to_ndarray()
 
